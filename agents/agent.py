@@ -349,7 +349,8 @@ class Agent(Node):
         if self._ahead_at is not None:
             self._ahead_at = None
             self._measure_busy_time(now)
-            effects += self._close_if_complete(now) or self._play_ahead(steers=True)
+            effects += self._close_if_complete(now)
+            effects += self._play_ahead(steers=True) if self._gossip is not None else []
         if self._close_at is not None and now >= self._close_at:
             self.counters["late"] += 1
             effects += self._close(now, forced=True)
@@ -419,8 +420,7 @@ class Agent(Node):
             self.outcome = look_ahead(self._rounds.recent, self.context, self.outcome, gossip, self._ticks_to_last(self.tick))
             self.counters["looked_ahead"] += 1
         self._keep_pace(now)
-        self._observation, self._gossip, self._close_at, self._ahead_at = None, None, None, None
-        self._awaited = set()
+        self._observation, self._gossip, self._close_at, self._ahead_at, self._awaited = None, None, None, None, set()
         self._measure_busy_time(now)
         self._round_seconds = max(0.0, now - self._opened_at)  # a clock may have jumped
         commands = self._steer(self.outcome, observation)

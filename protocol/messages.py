@@ -124,7 +124,7 @@ class Beacon(Message, frozen=True, kw_only=True, dict=True, tag="beacon"):
 
 
 UNKNOWN_AGE = 255
-GOSSIP_NUMBERS = 14  # x, y, cosine and sine of the heading, COD x, y, power radius, U, weight, detections, particles, scanned, `pose_noise`
+GOSSIP_NUMBERS = 13  # x, y, cosine and sine of the heading, COD x, y, power radius, weight, detections, particles, scanned, `pose_noise`
 _pack_numbers = struct.Struct(f"<{GOSSIP_NUMBERS}d").pack
 _pack_plan = struct.Struct("<3d").pack
 _pack_position = struct.Struct("<6d").pack
@@ -202,7 +202,7 @@ class Gossip(Message, frozen=True, kw_only=True, dict=True, tag="gossip"):
         (x, y, heading), (east, north), noise = self.pose, self.cod, self.pose_noise or _EXACT
         pose, generator = (x, y, cos(heading), sin(heading)), (east, north, self.power_radius)
         detections, particles = len(self.detections_bytes) // 8, len(self.ids_bytes) // 8
-        return _pack_numbers(*pose, *generator, self.unused, self.weight, detections, particles, self.scanned, *noise)
+        return _pack_numbers(*pose, *generator, self.weight, detections, particles, self.scanned, *noise)
 
     @cached_attribute
     def extent(self) -> tuple[float, float]:

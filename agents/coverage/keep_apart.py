@@ -14,6 +14,7 @@ from itertools import combinations
 
 from agents.coverage.control import ControlInput
 from protocol.message import Vector
+from protocol.pose import clip_velocity
 from protocol.settings import LimitSettings
 
 CLEARANCE = 0.05  # m, kept around each body besides its radius: wheels do not obey to the millimetre
@@ -32,7 +33,7 @@ def keep_apart(command: ControlInput, place: Vector, others: Iterable[Vector], l
     points = {other for other in others if other != place}
     for pressed in (True, False):
         bounds = [bound(place, other, limits.radius + CLEARANCE, HELD_PERIODS * seconds, pressed=pressed) for other in sorted(points)]
-        found = nearest(_at_most(velocity, limits.speed), bounds, limits.speed)
+        found = nearest(clip_velocity(velocity, limits.speed), bounds, limits.speed)
         if found is not None:
             return found, turn_rate
     return (0.0, 0.0), turn_rate
@@ -89,9 +90,3 @@ def _rim(bound: Bound, speed: float) -> list[Vector]:
         return []
     side = math.sqrt(rest)
     return [(bound[0] * bound[2] - along * bound[1], bound[1] * bound[2] + along * bound[0]) for along in (-side, side)]
-
-
-def _at_most(velocity: Vector, speed: float) -> Vector:
-    """The velocity, shortened to `speed` m/s where it is faster."""
-    fast = math.hypot(*velocity)
-    return (velocity[0] * speed / fast, velocity[1] * speed / fast) if fast > speed else velocity

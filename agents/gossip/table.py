@@ -28,7 +28,7 @@ from protocol.messages import Gossip
 from protocol.random_streams import random_key
 from protocol.sensing import SensorModel, WedgeSensor, measurement_of
 
-COLUMNS = 28
+COLUMNS = 27
 (
     X,
     Y,
@@ -37,7 +37,6 @@ COLUMNS = 28
     GENERATOR_X,
     GENERATOR_Y,
     POWER_RADIUS,
-    UNUSED,
     WEIGHT,
     DETECTIONS,
     PARTICLES,

@@ -9,7 +9,7 @@ import numpy as np
 from agents.config import AgentConfig
 from agents.gossip.table import AnnouncedSensor
 from agents.interest.tiles import Rectangle
-from agents.membership.peer import Peer
+from agents.membership.peer import Peer, announce_alike
 from protocol.messages import Beacon, Gossip
 
 POSITION_ROW = struct.Struct("<6d")
@@ -92,6 +92,7 @@ class PositionTable:
                 or peer.missed >= limit
                 or peer.incarnation != beacon.incarnation
                 or beacon.tick < peer.beacon.tick
+                or not announce_alike(beacon, peer.beacon)
             ):
                 others.append(beacon)
             else:

@@ -50,6 +50,11 @@ def announced_by(message: Hello | Beacon, config: AgentConfig) -> AnnouncedSenso
     return announced_sensor(message.sender, sensor, config.detection.clutter)
 
 
+def announce_alike(one: Beacon, other: Beacon) -> bool:
+    """Whether two beacons announce the same sensor."""
+    return one.sensor_class == other.sensor_class and one.sensor == other.sensor
+
+
 def all_acceptable(peers: Iterable[Peer], local: bool) -> bool:
     """Whether every well-formed gossip of the next tick by these peers will be accepted. `local`: tokens are not seen of all peers."""
     return all(peer.dead_until is None and not peer.missed and peer.announced is not None and (peer.token or local) for peer in peers)

@@ -25,7 +25,7 @@ from agents.config import AgentConfig
 from agents.gossip.inbox import RoundInbox
 from agents.interest.position_table import GENERATOR_X, NO_GENERATORS, POWER_RADIUS, PositionTable, UnsubscribedGenerators
 from agents.interest.selection import Choice
-from agents.membership.peer import Peer, all_acceptable, announced_by, plausible, with_newer_generator, with_peer
+from agents.membership.peer import Peer, all_acceptable, announce_alike, announced_by, plausible, with_newer_generator, with_peer
 from protocol.fields import MAX_NAMES
 from protocol.messages import Beacon, Gossip, Hello
 from protocol.node import Batch
@@ -350,8 +350,8 @@ class PeerTable:
             return False
         if is_older:  # than one of a wrong tick, far ahead
             self.positions.remove(peer.name)
-        if peer.announced is None:
-            peer.announced = announced_by(beacon, self._config)
+        if peer.announced is None or peer.beacon is None or not announce_alike(beacon, peer.beacon):  # the newest beacon counts
+            peer.announced = announced_by(beacon, self._config) or peer.announced
         back = peer.dead_until is not None and beacon.tick > peer.dead_until + 1  # a beacon states the position of the next tick
         silent = peer.missed >= self._silence_limit
         if back or silent:

@@ -296,7 +296,7 @@ def test_update_regions(seed: int, size: int, owners: int, in_table: bool, inter
 def test_an_owner_of_more_targets_than_a_gossip_may_state_states_fewer() -> None:
     """A gossip of more than 1000 is refused, and its sender would be silent for all."""
     crowd = case(0, 150, 1, in_table=False, interest="all")
-    heavy = crowd._replace(density=crowd.density._replace(weights=np.full(len(crowd.density.ids), 100.0)))  # type: ignore[union-attr]
+    heavy = crowd._replace(density=crowd.density._replace(weights=np.full(len(crowd.density.ids), 10.0)))  # type: ignore[union-attr]
     assert_same("update_regions", *heavy)
     (update,) = FAST.update_regions(*heavy)
     weights = update.resampled.weights

@@ -4,12 +4,14 @@ import msgspec
 import numpy as np
 
 from agents.config import AgentConfig, TimingSettings
+from agents.gossip.table import announced_sensor
 from agents.interest.position_table import SENSOR_X, beacon_row
 from agents.interest.selection import Choice
 from agents.interest.tiles import Rectangle
 from agents.membership.peer_table import PeerTable
 from protocol.fields import pack
 from protocol.messages import Beacon, Gossip
+from protocol.sensing import SENSOR_CLASSES
 from tests.agents.test_peer_table import gossip, hear
 
 CONFIG = AgentConfig(members={"s1": "A", "s2": "B", "s3": "C"}, timing=TimingSettings(interest="neighbours"))
@@ -146,6 +148,18 @@ def test_a_peer_that_starts_anew_keeps_its_place_among_those_that_are_heard() ->
     choose(found)
     found.take_beacon(beacon("s3", 1, 20.0, incarnation=2))
     assert list(found.interest_set) == ["s2", "s3"] and found.interest_set["s3"].incarnation == 2
+
+
+def test_the_sensor_of_the_newest_beacon_counts_so_that_one_with_wrong_bits_is_repaired() -> None:
+    found = peers()
+    known = found.peers["s2"].announced
+    wrong, unusable, right = (msgspec.structs.replace(beacon("s2", 2 + n, 10.0), sensor_class=each) for n, each in enumerate("D?B"))
+    for one, class_name in ((wrong, "D"), (unusable, "D"), (right, "B")):
+        for beacons in ([one], [msgspec.structs.replace(one, position=(11.0, 5.0))]):  # said twice
+            for left in found.positions.note_all(beacons, found.peers):
+                found.take_beacon(left)
+            assert found.peers["s2"].announced is announced_sensor("s2", SENSOR_CLASSES[class_name], AgentConfig().detection.clutter)
+    assert found.peers["s2"].announced is known
 
 
 def test_after_a_beacon_of_a_tick_far_ahead_the_next_right_one_counts() -> None:
