@@ -35,7 +35,7 @@ def integrate(pose: Pose, velocity: Vector, turn_rate: float, dt: float, limits:
 
 
 def from_other_frame(points: np.ndarray, true: Pose, reported: Pose) -> np.ndarray:
-    """Points (N, 2) float32 that a sensor saw from its true pose, where an agent places them that takes `reported` for its pose."""
+    """Points (N, 2) that a sensor saw from its true pose, where an agent places them that takes `reported` for its pose."""
     (x, y), turn = (points.astype(float) - np.array(true[:2])).T, reported[2] - true[2]
     cos, sin = math.cos(turn), math.sin(turn)
-    return np.column_stack([x * cos - y * sin + reported[0], x * sin + y * cos + reported[1]]).astype(np.float32)
+    return np.column_stack([x * cos - y * sin + reported[0], x * sin + y * cos + reported[1]])

@@ -14,7 +14,16 @@ import msgspec
 import numpy as np
 
 from agents.backend import Backend
-from agents.compiled import birth_kernels, cell_kernels, claim_kernels, merge_kernels, region_kernels, search_kernels, selection_kernels
+from agents.compiled import (
+    birth_kernels,
+    cell_kernels,
+    claim_kernels,
+    merge_kernels,
+    region_kernels,
+    run_columns,
+    search_kernels,
+    selection_kernels,
+)
 from agents.config import AgentConfig
 from agents.coverage import search_plan
 from agents.coverage.cells import NO_CELL, Cell
@@ -89,16 +98,46 @@ def prepared(config: AgentConfig) -> tuple[np.ndarray, np.ndarray]:
     """Settings and keys of a run, in the columns of agents/compiled/run_columns.py; a pure memo: a simulation has one of both."""
     filters, birth, noise = config.filter, config.birth, config.detection.noise
     step, width = Step(config, 0), phd.likelihood_noise(noise, filters)
-    numbers = [config.run.dt, 0.5 * filters.heading_noise * math.sqrt(config.run.dt), filters.speed, filters.position_noise]
-    numbers += [survival_probability(config.run.dt, filters), filters.border == "reflect", config.arena.width, config.arena.height]
-    numbers += [filters.halo, step.max_displacement, noise, width, (filters.gate * width) ** 2]
-    numbers += [filters.certainty, filters.vicinity / phd.BINS_IN_VICINITY]
-    numbers += [birth.measurement, birth.measurement_particles, birth.radius, birth.least_density, birth.least_share, birth.most_density]
-    numbers += [filters.particles_per_target, filters.least_particles, filters.most_particles]
-    numbers += [config.extraction.bin, config.extraction.threshold, config.extraction.beside]
-    numbers += [filters.gate, kernel_variance(filters)]
-    salts = [random_key(config.filter.seed, purpose) for purpose in ("turn", "east", "north", "birth", "split")]
-    return np.array(numbers, dtype=float), np.array(salts, dtype=np.uint64)
+    settings = {
+        run_columns.DT: config.run.dt,
+        run_columns.HALF_TURN: 0.5 * filters.heading_noise * math.sqrt(config.run.dt),
+        run_columns.SPEED: filters.speed,
+        run_columns.POSITION_NOISE: filters.position_noise,
+        run_columns.SURVIVAL: survival_probability(config.run.dt, filters),
+        run_columns.REFLECT: filters.border == "reflect",
+        run_columns.WIDTH: config.arena.width,
+        run_columns.HEIGHT: config.arena.height,
+        run_columns.HALO: filters.halo,
+        run_columns.STEP: step.max_displacement,
+        run_columns.NOISE: noise,
+        run_columns.LIKELIHOOD_NOISE: width,
+        run_columns.GATE2: (filters.gate * width) ** 2,
+        run_columns.CERTAINTY: filters.certainty,
+        run_columns.MISS_BIN: filters.vicinity / phd.BINS_IN_VICINITY,
+        run_columns.BIRTHS: birth.measurement,
+        run_columns.BIRTHS_PER_DETECTION: birth.measurement_particles,
+        run_columns.BIRTH_RADIUS: birth.radius,
+        run_columns.LEAST_DENSITY: birth.least_density,
+        run_columns.LEAST_SHARE: birth.least_share,
+        run_columns.MOST_DENSITY: birth.most_density,
+        run_columns.PER_TARGET: filters.particles_per_target,
+        run_columns.LEAST: filters.least_particles,
+        run_columns.MOST: filters.most_particles,
+        run_columns.BIN: config.extraction.bin,
+        run_columns.THRESHOLD: config.extraction.threshold,
+        run_columns.BESIDE: config.extraction.beside,
+        run_columns.GATE: filters.gate,
+        run_columns.KERNEL: kernel_variance(filters),
+    }
+    purposes = {
+        run_columns.TURN: "turn",
+        run_columns.EASTWARD: "east",
+        run_columns.NORTHWARD: "north",
+        run_columns.BIRTH: "birth",
+        run_columns.SPLIT: "split",
+    }
+    keys = [random_key(filters.seed, purposes[column]) for column in range(len(purposes))]
+    return np.array([settings[column] for column in range(len(settings))], dtype=float), np.array(keys, dtype=np.uint64)
 
 
 def stated_near(table: GossipTable, region: RegionInput, step: Step) -> tuple[np.ndarray, ...]:
