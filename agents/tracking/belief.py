@@ -19,11 +19,20 @@ from agents.backend import Backend
 from agents.config import FilterSettings
 from agents.gossip.table import GossipTable, as_particles
 from agents.tracking.births import prior, prior_around, prior_size
-from agents.tracking.claims import NO_CLAIM, Claim, end_to_end, make_claim
+from agents.tracking.claims import NO_CLAIM, Claim, make_claim
 from agents.tracking.particles import NO_PARTICLES, WIRE_TYPE, Particles, canonical, join, select
 from agents.tracking.phd import predict
 from agents.tracking.step import Step
-from agents.tracking.tracker import Belief, Diagram, OwnedState, RegionInput, RegionUpdate, claims_tile_arena, unknown_senders
+from agents.tracking.tracker import (
+    Belief,
+    Diagram,
+    OwnedState,
+    RegionInput,
+    RegionUpdate,
+    claims_tile_arena,
+    stated_claims,
+    unknown_senders,
+)
 from protocol.compact_particles import packed, quantised
 from protocol.fields import pack, pack_labels
 from protocol.messages import Gossip
@@ -174,18 +183,14 @@ class ParticlePhd(NamedTuple):
         """
         if claims_tile_arena(belief, table):
             return table
-        last, config, unknown = step.tick - 1, step.config, unknown_senders(belief, table)
+        last, unknown = step.tick - 1, unknown_senders(belief, table)
         if belief.claim_tick < last:
             belief = _without_claim(belief)
-        owned = [owned_by_sender(gossip) for gossip in table.gossips if gossip.claim_tick == last and gossip.sender != belief.mine.owner]
-        owned.insert(0, belief.mine)
-        claims = end_to_end([each.claim for each in owned])
-        # the complement of an unknown agent's hash is the hash of no other diagram
-        hashes = [~each.diagram_hash if each.owner in unknown else each.diagram_hash for each in owned]
+        owned, claims, hashes = stated_claims(belief.mine, unknown, table, last, owned_by_sender)
         received, sizes = join([each.targets for each in owned]), [len(each.targets.ids) for each in owned]
-        counts = self.backend.resolve_conflicts(received.states, sizes, claims, hashes, config.timing.overlap)
+        counts = self.backend.resolve_conflicts(received.states, sizes, claims, hashes, step.config.timing.overlap)
         copies = belief.copies.compute()
-        free = self.backend.orphaned(copies.states, claims, config.arena)
+        free = self.backend.orphaned(copies.states, claims, step.config.arena)
         return self.backend.merge(received, counts, copies, free)
 
     def update(

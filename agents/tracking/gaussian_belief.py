@@ -14,7 +14,7 @@ from agents.backend import Backend
 from agents.config import FilterSettings
 from agents.gossip.table import GossipTable
 from agents.tracking import claims, gaussian_phd
-from agents.tracking.claims import NO_CLAIM, Claim, end_to_end, make_claim
+from agents.tracking.claims import NO_CLAIM, Claim, make_claim
 from agents.tracking.extraction import TargetEstimates
 from agents.tracking.gaussian_reduction import estimate_and_label, limited, merged
 from agents.tracking.gaussians import (
@@ -29,7 +29,16 @@ from agents.tracking.gaussians import (
 )
 from agents.tracking.particles import Particles, canonical, join, select, total
 from agents.tracking.step import Step
-from agents.tracking.tracker import Belief, Diagram, OwnedState, RegionInput, RegionUpdate, claims_tile_arena, unknown_senders
+from agents.tracking.tracker import (
+    Belief,
+    Diagram,
+    OwnedState,
+    RegionInput,
+    RegionUpdate,
+    claims_tile_arena,
+    stated_claims,
+    unknown_senders,
+)
 from protocol import geometry
 from protocol.messages import Gossip
 
@@ -124,16 +133,13 @@ class MixturePhd(NamedTuple):
         """The components that count at `belief.stamp`; the rules are those of `ParticlePhd.merge`."""
         if claims_tile_arena(belief, table):
             return table
-        last, config, unknown = step.tick - 1, step.config, unknown_senders(belief, table)
+        last, unknown = step.tick - 1, unknown_senders(belief, table)
         if belief.claim_tick < last:
             belief = _without_claim(belief)
-        owned = [owned_by_sender(gossip) for gossip in table.gossips if gossip.claim_tick == last and gossip.sender != belief.mine.owner]
-        owned.insert(0, belief.mine)
-        stated = end_to_end([each.claim for each in owned])
-        hashes = [~each.diagram_hash if each.owner in unknown else each.diagram_hash for each in owned]
+        owned, stated, hashes = stated_claims(belief.mine, unknown, table, last, owned_by_sender)
         received, sizes = join([each.targets for each in owned]), [len(each.targets.ids) for each in owned]
-        counts = self.backend.resolve_conflicts(received.means, sizes, stated, hashes, config.timing.overlap)
-        free = self.backend.orphaned(belief.copies.means, stated, config.arena)
+        counts = self.backend.resolve_conflicts(received.means, sizes, stated, hashes, step.config.timing.overlap)
+        free = self.backend.orphaned(belief.copies.means, stated, step.config.arena)
         return canonical(join([select(received, counts), select(belief.copies, free)]))
 
     def update(self, density: GossipTable | Mixture, table: GossipTable, regions: Sequence[RegionInput], step: Step) -> list[RegionUpdate]:

@@ -7,7 +7,7 @@ Rules. A round knows agents, cells and claims; the tracker alone knows how targe
 of functions that give new values and keep their arguments; `belief.ParticlePhd` is one. Copies of others are computed when first needed.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple, Protocol
 
@@ -15,10 +15,11 @@ import numpy as np
 
 from agents.config import FilterSettings
 from agents.gossip.table import GossipTable
-from agents.tracking.claims import Claim
+from agents.tracking.claims import Claim, Claims, end_to_end
 from agents.tracking.extraction import TargetEstimates
 from agents.tracking.particles import Particles
 from agents.tracking.step import Step
+from protocol.messages import Gossip
 from protocol.sensing import Pose, SensorModel
 
 
@@ -94,6 +95,19 @@ def claims_tile_arena(belief: Belief, table: GossipTable) -> bool:
     """
     agreed = belief.mine.diagram_hash != 0 and table.claimed == (belief.claim_tick, belief.mine.diagram_hash)
     return agreed and bool(belief.generator_names) and belief.generator_names <= table.name_set and not unknown_senders(belief, table)
+
+
+def stated_claims(
+    mine: OwnedState, unknown: frozenset[str], table: GossipTable, last: int, owned_by_sender: Callable[[Gossip], OwnedState]
+) -> tuple[list[OwnedState], Claims, list[int]]:
+    """The states after the round `last`, the own one first; their claims, and the hashes of the diagrams from which these were cut.
+
+    The complement of the hash that an `unknown` sender states is the hash of no other diagram.
+    """
+    owned = [owned_by_sender(gossip) for gossip in table.gossips if gossip.claim_tick == last and gossip.sender != mine.owner]
+    owned.insert(0, mine)
+    hashes = [~each.diagram_hash if each.owner in unknown else each.diagram_hash for each in owned]
+    return owned, end_to_end([each.claim for each in owned]), hashes
 
 
 class Tracker(Protocol):
