@@ -34,9 +34,9 @@ class Oracle:
         return self._goals.get(name)
 
     def _assigned(self) -> dict[str, tuple[float, float]]:
-        """The targets of all bodies that have one."""
-        names, targets = [name for name in self._world.bodies.poses if name in self._sensors], self._world.scene.targets.positions
-        places = np.array([centroid_of_detection(self._sensors[name], self._world.bodies.poses[name]) for name in names])
+        """The targets of all bodies that have one; a body whose agent has died has none."""
+        names, targets = [name for name in self._world.present() if name in self._sensors], self._world.scene.targets.positions
+        places = np.array([centroid_of_detection(self._sensors[name], self._world.bodies.poses[name]) for name in names]).reshape(-1, 2)
         apart = np.hypot(places[:, 0, None] - targets[:, 0], places[:, 1, None] - targets[:, 1])
         rows, columns = linear_sum_assignment(apart)
         return {names[row]: (float(targets[column, 0]), float(targets[column, 1])) for row, column in zip(rows, columns)}

@@ -205,7 +205,7 @@ class World(Node):
         The time before the first agent does not count, however long agents take to start. A strict world stops instead.
         """
         complete = self._presence.is_complete(self._expected, self.name)
-        if self._due is None or (not complete and now - self._changed < self._patience) or not self._present():
+        if self._due is None or (not complete and now - self._changed < self._patience) or not self.present():
             return []
         if self._strict and not complete:
             return self._stop(EXIT_INCOMPLETE, "not all agents are ready, and the run is strict")
@@ -215,7 +215,7 @@ class World(Node):
 
     def _open_tick(self, now: float) -> list[Effect]:
         """What everybody sees at this tick."""
-        present = self._present()
+        present = self.present()
         scans, in_view = self.scene.scans({name: self.bodies.poses[name] for name in present})
         self._waiting = {name for name in present if self._presence.speaks(name)}
         if self._lockstep:
@@ -257,7 +257,7 @@ class World(Node):
         self._due, self._waiting, self.started = None, set(), False
         return [Stop(code, reason)]
 
-    def _present(self) -> list[str]:
+    def present(self) -> list[str]:
         """Names of the live agents that have a body and a sensor that is known, in team order."""
         return [name for name in self.bodies.poses if name in self.scene.sensors and self._presence.live(name) is not None]
 

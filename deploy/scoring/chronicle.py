@@ -13,6 +13,7 @@ import numpy as np
 import shapely
 
 from deploy.scoring.result import EventReport
+from deploy.scoring.scores import ground
 
 CLOSED = 1e-6  # of the arena: cells leave no hole, and do not overlap
 NEAR = 0.3  # of the cut-off
@@ -49,9 +50,9 @@ class ScoredTick(NamedTuple):
 
     def inside(self, cell: np.ndarray) -> set[int]:
         """Ids of the true targets in a cell."""
-        if len(cell) < 3 or not len(self.targets):
+        if not len(self.targets):
             return set()
-        return set(self.ids[shapely.contains_xy(shapely.Polygon(cell), self.targets)].tolist())
+        return set(self.ids[shapely.contains_xy(ground(cell), self.targets)].tolist())
 
 
 @dataclass
@@ -201,23 +202,23 @@ def is_taken(name: str, cell: np.ndarray, view: ScoredTick) -> bool:
 
     They do where there is no hole at all.
     """
-    if len(cell) < 3:
+    former = ground(cell)
+    if not former.area:
         return True
     if view.owns_a_cell(name):
         return False
     if view.hole <= CLOSED:
         return True
-    former = shapely.Polygon(cell)
-    others = shapely.union_all([shapely.Polygon(other) for other in view.cells.values() if len(other) >= 3])
+    others = shapely.union_all([ground(other) for other in view.cells.values()])
     return bool(former.difference(others).area <= OPEN * former.area)
 
 
 def shares(cell: np.ndarray, cells: Mapping[str, np.ndarray]) -> list[tuple[str, float]]:
     """Owners of a former cell and their shares, the largest first; shares below `LEAST` are left out."""
-    if len(cell) < 3:
+    former = ground(cell)
+    if not former.area:
         return []
-    former = shapely.Polygon(cell)
-    found = [(name, shapely.Polygon(other).intersection(former).area / former.area) for name, other in cells.items() if len(other) >= 3]
+    found = [(name, ground(other).intersection(former).area / former.area) for name, other in cells.items()]
     return sorted([pair for pair in found if pair[1] >= LEAST], key=lambda pair: -pair[1])
 
 

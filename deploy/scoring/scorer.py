@@ -174,7 +174,7 @@ class Scorer(Node):
                 self.on_differing(hello.sender, differs)
 
     def _hear_truth(self, truth: Truth, now: float) -> None:
-        if truth.tick < self._next or (self.truth is not None and truth.tick <= self.truth.tick):
+        if not self._next <= truth.tick <= self.last_tick or (self.truth is not None and truth.tick <= self.truth.tick):
             return
         self.tick_rate.tick(now, truth.tick)
         self._truths[truth.tick] = self.truth = truth
@@ -183,7 +183,8 @@ class Scorer(Node):
 
     def _hear_estimate(self, estimate: Estimate) -> None:
         latest = self._latest.get(estimate.sender)
-        if latest is not None and (estimate.incarnation, estimate.tick) <= (latest.incarnation, latest.tick):
+        is_old = latest is not None and (estimate.incarnation, estimate.tick) <= (latest.incarnation, latest.tick)
+        if is_old or estimate.tick > self.last_tick:
             return
         self._latest[estimate.sender] = estimate
         self.tick_rate.count(estimate)

@@ -139,6 +139,12 @@ def why(scores: Sequence[Score], scenario: Scenario) -> dict[str, float]:
     }
 
 
+def ground(cell: np.ndarray) -> shapely.Geometry:
+    """The ground that a published cell (V, 2) m covers. Anybody may state one that crosses itself or has no area."""
+    polygon = shapely.Polygon(cell if len(cell) >= 3 else None)
+    return polygon if polygon.is_valid else polygon.buffer(0.0)
+
+
 def hole_and_overlap(cells: list[np.ndarray], area: float, *, one_view: bool = False) -> tuple[float, float]:
     """(hole, overlap) as shares of the arena: area - |union|, and the sum of the cells - |union|.
 
@@ -150,5 +156,5 @@ def hole_and_overlap(cells: list[np.ndarray], area: float, *, one_view: bool = F
     total = total_area(cells)
     if one_view and abs(total - area) <= 1e-9 * area:
         return 0.0, 0.0
-    union = shapely.union_all([shapely.Polygon(cell) for cell in cells if len(cell) >= 3], grid_size=SNAP).area
+    union = shapely.union_all([ground(cell) for cell in cells], grid_size=SNAP).area
     return max(0.0, 1.0 - union / area), max(0.0, (total - union) / area)

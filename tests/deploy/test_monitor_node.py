@@ -3,6 +3,7 @@
 import hashlib
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -32,6 +33,10 @@ def scenario(tmp_path: Path) -> Scenario:
         '[run]\nseconds = 10.0\ndt = 1.0\nclock = "lockstep"\n[arena]\nwidth = 10.0\nheight = 10.0\n[members]\na = "A"\nb = "B"\n'
     )
     return resolve(str(file))
+
+
+def longer(scenario: Scenario) -> Scenario:
+    return msgspec.structs.replace(scenario, run=msgspec.structs.replace(scenario.run, seconds=40.0))
 
 
 def truth(tick: int, alive: tuple[str, ...] = ("a", "b")) -> Received:
@@ -96,6 +101,33 @@ def test_a_tick_is_scored_when_all_have_spoken_in_whatever_order(scenario: Scena
     assert (score.mass, score.hole, score.overlap) == pytest.approx((1.0, 0.0, 0.0), abs=1e-12)
 
 
+@pytest.mark.parametrize("cell", [[[0.0, 0.0], [5.0, 10.0], [5.0, 0.0], [0.0, 10.0]], [[1.0, 1.0], [2.0, 2.0], [4.0, 4.0]]])
+def test_a_cell_that_crosses_itself_or_has_no_area_ends_no_scorer(scenario: Scenario, cell: list[list[float]]) -> None:
+    """Anybody may publish one; its agent dies at the end, so that others take over what it had."""
+    scorer = started(scenario)
+    for tick in range(6):
+        scorer.handle(truth(tick, ("a", "b") if tick < 3 else ("b",)), float(tick))
+        scorer.handle(estimate("b", tick, RIGHT), float(tick))
+        if tick < 3:
+            scorer.handle(estimate("a", tick, np.array(cell)), float(tick))
+        else:
+            scorer.handle(Gone("agent", "a", 1), float(tick))
+    scorer.finish(6.0)
+    assert len(scorer.scores) == 6 and all(0.2 < score.hole <= 0.5 + 1e-9 for score in scorer.scores)
+
+
+def test_words_about_ticks_after_the_end_of_the_run_count_for_nothing(scenario: Scenario) -> None:
+    scorer = started(scenario)
+    for tick in range(10):
+        if tick == 4:
+            scorer.handle(estimate("a", 10**6, LEFT), float(tick))
+            scorer.handle(truth(10**6), float(tick))
+        scorer.handle(truth(tick), float(tick))
+        scorer.handle(estimate("a", tick, LEFT), float(tick))
+        scorer.handle(estimate("b", tick, RIGHT), float(tick))
+    assert [score.hole for score in scorer.scores] == [0.0] * 10
+
+
 def test_the_transcript_hashes_poses_then_targets_in_the_order_of_the_team(scenario: Scenario) -> None:
     scorer = started(scenario)
     wanted = hashlib.blake2b(digest_size=16)
@@ -153,7 +185,7 @@ def test_a_pause_that_outlives_the_lease_does_not_undo_an_earlier_death(scenario
 
 
 def test_a_silent_agent_is_not_waited_for_without_end(scenario: Scenario) -> None:
-    scorer = started(scenario)
+    scorer = started(longer(scenario))
     for tick in range(25):
         scorer.handle(truth(tick), float(tick))
         scorer.handle(estimate("a", tick, LEFT), float(tick))

@@ -4,7 +4,8 @@ import msgspec
 import pytest
 
 from deploy.cli import scenario_file
-from deploy.scenario import Scenario, refuse_oracle, resolve
+from deploy.oracle import OracleLaw
+from deploy.scenario import FaultSettings, Scenario, refuse_oracle, resolve
 from deploy.simulation import Simulation
 from protocol.settings import BadSetting
 
@@ -21,6 +22,18 @@ def test_the_oracle_keeps_every_target_in_view_where_it_has_more_sensors_than_ta
     simulation.run()
     last = simulation.scorer.scores[-1]
     assert (last.in_view, last.targets) == (3, 3)
+
+
+def test_no_target_is_left_to_a_body_whose_agent_has_died() -> None:
+    """Four bodies are left for three targets that stand still."""
+    faults = tuple(FaultSettings(at=2.0, verb="kill", who=name) for name in ("s1", "s2"))
+    standing = {"targets.speed": 0.0, "targets.border": "reflect", "filter.border": "reflect", "run.seconds": 20.0}
+    simulation = Simulation(msgspec.structs.replace(resolve("convergence", {**SMALL, **standing, "control.mode": "oracle"}), faults=faults))
+    simulation.run()
+    assert len(simulation.scorer.result(0.0).kills) == 2
+    assert simulation.scorer.scores[-1].in_view == 3
+    law = simulation.agents["s3"].context.law
+    assert isinstance(law, OracleLaw) and not {"s1", "s2"} & {name for name in simulation.agents if law._oracle.goal(name)}
 
 
 def test_standing_bodies_do_not() -> None:

@@ -12,7 +12,7 @@ from protocol.gaussian_components import COMPONENT
 from protocol.messages import Gossip
 from protocol.node import Alive, Gone, received
 from protocol.observer_messages import Estimate
-from tests.deploy.test_monitor_node import EMPTY, LEFT, RIGHT, TARGET, WHOLE, estimate, scenario, started, truth
+from tests.deploy.test_monitor_node import EMPTY, LEFT, RIGHT, TARGET, WHOLE, estimate, longer, scenario, started, truth
 
 __all__ = ["scenario"]  # the fixture
 EARLY, LATE = np.add(TARGET, [3.0, 4.0]), np.add(TARGET, [0.0, 1.0])  # 5 m and 1 m away from the target
@@ -76,7 +76,7 @@ def test_gaussians_are_mass_too_and_an_estimate_of_a_slower_pace_is_not_compared
 
 def test_who_has_been_silent_for_longer_than_it_stays_a_generator_is_not_scored(scenario: Scenario) -> None:
     """Four rounds; the world is far ahead of its word, and a tick is scored without it."""
-    scorer = started(scenario)
+    scorer = started(longer(scenario))
     for tick in range(40):
         scorer.handle(truth(tick), float(tick))
         scorer.handle(estimate("a", tick, LEFT, TARGET), float(tick))
@@ -88,7 +88,7 @@ def test_who_has_been_silent_for_longer_than_it_stays_a_generator_is_not_scored(
 
 def test_the_targets_of_an_old_estimate_have_moved_on_by_their_velocity(scenario: Scenario) -> None:
     """Its agent says nothing after tick 0; in the ticks since, the estimate comes closer to the target by 1 m in each."""
-    scorer = started(scenario)
+    scorer = started(longer(scenario))
     speed = 1.0 / scenario.run.dt
     for tick in range(40):
         scorer.handle(truth(tick), float(tick))
@@ -135,7 +135,7 @@ def test_a_tick_that_an_agent_left_out_is_scored_with_its_estimate_before_and_no
 
 
 def test_an_estimate_that_comes_after_its_tick_was_scored_counts_for_the_next(scenario: Scenario) -> None:
-    scorer = started(scenario)
+    scorer = started(longer(scenario))
     for tick in range(26):
         scorer.handle(truth(tick), float(tick))
         scorer.handle(estimate("b", tick, RIGHT), float(tick))
