@@ -316,7 +316,8 @@ class Body(Node):
     def _drive(self, command: Command) -> None:
         fence, arena, velocity = self._config.bodies.fence, self._config.arena, command.velocity
         if fence is not None:
-            velocity = fenced(velocity, self.pose, (-fence, -fence, arena.width + fence, arena.height + fence), self._hold_seconds)
+            seconds = self._hold_seconds * self._config.run.rate  # of the world
+            velocity = fenced(velocity, self.pose, (-fence, -fence, arena.width + fence, arena.height + fence), seconds)
         self.platform.drive(velocity, command.turn_rate)
 
     def _stand(self) -> None:

@@ -112,7 +112,7 @@ def recording_of(config: WorldConfig) -> RecordedWorld:
     if settings.start > recording.seconds:
         raise BadSetting(f"recorded.start = {settings.start:g}: the recording ends before; should be at most {recording.seconds:.1f}")
     end = settings.start + (run.ticks - 1) * run.dt
-    if end > recording.seconds + run.dt:
+    if end > recording.seconds:
         most = recording.seconds - settings.start
         raise BadSetting(f"run.seconds = {run.seconds:g}: the recording ends before; should be at most {most:.1f}")
     for robot in recording.bodies:

@@ -21,6 +21,7 @@ class Witness:
     def __init__(self, config: WorldConfig, name: str, incarnation: int, lag: int, lag_seconds: float) -> None:
         """`lag`: a tick is not waited for any more when some body is so many ticks ahead, and has been for `lag_seconds`."""
         self._name, self._incarnation, self._lag = name, incarnation, lag
+        self._ticks = config.run.ticks
         self._ahead = NewestTick(lag_seconds)
         self._scene = Scene(config)
         self._poses: dict[str, Pose] = start_poses(config)
@@ -40,7 +41,7 @@ class Witness:
             if event.role == "agent":
                 self._unseen.discard(event.name)
         for message in messages_of(event):
-            if isinstance(message, Observation) and message.recipient in self._poses and message.tick >= self._next:
+            if isinstance(message, Observation) and message.recipient in self._poses and self._next <= message.tick < self._ticks:
                 self._seen.setdefault(message.tick, {})[message.recipient] = message.pose
                 self._newest[message.recipient] = max(message.tick, self._newest.get(message.recipient, -1))
                 self._ahead.hear(message.tick, now)

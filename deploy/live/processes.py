@@ -44,6 +44,8 @@ class Child:
     seen_stopped: bool = False  # since the last signal that was sent from here
     body_of: str = ""  # the agent whose body it is; empty: it is none
     process: subprocess.Popen[bytes] | Forked | None = field(default=None, repr=False)
+    unwritten: bytes = field(default=b"", repr=False)  # the rest of a line for which its pipe had no room
+    next_line: bytes = field(default=b"", repr=False)  # to be written after that
     zygote: Zygote | None = field(default=None, repr=False)  # forks it; None: it is executed
 
     @property
@@ -109,7 +111,7 @@ class Child:
         if self.process.stdin is not None:
             self.process.stdin.close()
         self.returncode, self.ended_at = self.process.returncode, time.time()
-        self.process, self.paused, self.seen_stopped = None, False, False
+        self.process, self.paused, self.seen_stopped, self.unwritten, self.next_line = None, False, False, b"", b""
         return True
 
     def send(self, number: signal.Signals) -> None:
@@ -134,12 +136,22 @@ class Child:
         return "pause" if stopped else "resume"
 
     def tell(self, line: str) -> None:
-        """Write a line to its standard input; dropped when it has ended, or has been stopped for so long that the pipe is full."""
-        if self.process is not None and self.process.stdin is not None:
-            number = self.process.stdin.fileno()
-            os.set_blocking(number, False)
-            with contextlib.suppress(OSError):
-                os.write(number, line.encode() + b"\n")
+        """Write a line to its standard input, which says all anew: of those for which its full pipe has no room the newest waits."""
+        self.next_line = line.encode() + b"\n"
+        self.write_what_waits()
+
+    def write_what_waits(self) -> None:
+        """Write as much of the waiting lines as its pipe has room for, each line whole in the end."""
+        if self.process is None or self.process.stdin is None:
+            self.unwritten = self.next_line = b""
+            return
+        number = self.process.stdin.fileno()
+        os.set_blocking(number, False)
+        with contextlib.suppress(OSError):  # the pipe is full, or has no reader any more
+            while self.unwritten or self.next_line:
+                if not self.unwritten:
+                    self.unwritten, self.next_line = self.next_line, b""
+                self.unwritten = self.unwritten[os.write(number, self.unwritten) :]
 
     def end(self) -> str:
         """How it ended, for people: `killed by SIGKILL`, `exit code 2`; empty while it runs."""

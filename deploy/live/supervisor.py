@@ -148,6 +148,8 @@ class Supervisor:
             await asyncio.wait([self._over], timeout=0.5)
             self._reap()  # in case a signal was merged with another
             self._notice_pauses()
+            for child in self.children.values():
+                child.write_what_waits()
             self._end_without_world()
             self.scorer.tick_rate.unread = driver.unread
             status = self._status()

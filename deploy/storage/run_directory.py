@@ -22,6 +22,7 @@ import os
 import shutil
 import socket
 import tempfile
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -31,6 +32,7 @@ from protocol.settings import BadSetting
 
 LATEST_LINK = "latest"  # the link to the run that began last
 ROOM = 16384  # bytes that a run needs at least, for its run.toml
+LOCK_TRIES, LOCK_PAUSE = 10, 0.01  # and s between them, before a run counts as held by another process
 
 
 def runs_folder() -> Path:
@@ -68,10 +70,9 @@ class RunDirectory:
         except OSError as error:
             raise BadSetting(f"run directory {self.path}: {error.strerror}; COVEY_RUNS names another place") from None
         try:
-            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            os.close(descriptor)
-            return None
+            if not _lock_alone(descriptor):
+                os.close(descriptor)
+                return None
         except OSError as error:
             os.close(descriptor)
             raise BadSetting(
@@ -109,7 +110,7 @@ class RunDirectory:
         except OSError:
             return False
         try:
-            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)  # a shared one is in the way of no other look
         except BlockingIOError:
             return True
         except OSError:  # no locks here: nothing can be running
@@ -162,6 +163,16 @@ class RunDirectory:
             raise BadSetting(f"{folder}: belongs to somebody else; set TMPDIR to a folder of your own")
         _sweep(folder)
         return folder / f"{self.name[:40]}-{os.getpid()}.sock"
+
+
+def _lock_alone(descriptor: int) -> bool:
+    """Lock a file for this process; False while another has locked it. Somebody who only looks holds it for an instant."""
+    for _ in range(LOCK_TRIES):
+        with contextlib.suppress(BlockingIOError):
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            return True
+        time.sleep(LOCK_PAUSE)
+    return False
 
 
 def is_running_already(name: str) -> BadSetting:

@@ -4,6 +4,7 @@ import json
 import re
 import signal
 import subprocess
+import threading
 import time
 from pathlib import Path
 
@@ -88,6 +89,34 @@ def test_a_process_that_is_stopped_or_let_go_on_from_outside_is_noticed_once(chi
     finally:
         process.kill()
         process.communicate()
+
+
+def test_lines_that_a_full_pipe_has_no_room_for_arrive_whole_and_the_newest_last(child: Child) -> None:
+    """The process reads nothing until the end, as one that is paused."""
+    process = child.process = subprocess.Popen(["cat"], stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+    assert process.stdout is not None
+    process.send_signal(signal.SIGSTOP)
+    until_stopped(process.pid, True)
+    try:
+        lines = [str(number) * 50_000 for number in range(1, 8)]
+        for line in lines:
+            child.tell(line)
+        process.send_signal(signal.SIGCONT)
+        reader = threading.Thread(target=lambda: found.append(process.stdout.read()))  # type: ignore[union-attr]
+        found: list[bytes] = []
+        reader.start()
+        end = time.monotonic() + 60.0
+        while (child.unwritten or child.next_line) and time.monotonic() < end:
+            child.write_what_waits()
+            time.sleep(0.01)
+        assert process.stdin is not None
+        process.stdin.close()
+        reader.join(60.0)
+        read = found[0].decode().splitlines()
+        assert read == [*lines[: len(read) - 1], lines[-1]] and 2 <= len(read) < 7
+    finally:
+        process.kill()
+        process.wait()
 
 
 def until_stopped(pid: int, wanted: bool) -> None:

@@ -1,9 +1,11 @@
 """KeptRun runs: every run has a directory of its own, a name means one run, and what is removed was asked for."""
 
+import fcntl
 import json
 import os
 import re
 import subprocess
+import threading
 import time
 from pathlib import Path
 
@@ -306,3 +308,33 @@ def test_the_commands_take_names_and_the_short_yes() -> None:
     assert (bound.arguments["all"], bound.arguments["yes"]) == (True, True)
     _, bound, _ = app.parse_args(["rm", "--older-than", "7d"])
     assert bound.arguments["older_than"] == "7d"
+
+
+def test_looks_at_a_run_are_in_the_way_of_no_other_look_and_of_no_start(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COVEY_RUNS", str(tmp_path))
+    directory, looks = RunDirectory("hunt"), list[bool]()
+    descriptor = directory.hold()
+    assert descriptor is not None and directory.is_running()
+    os.close(descriptor)
+    end = threading.Event()
+
+    def look() -> None:
+        while not end.is_set():
+            looks.append(directory.is_running())
+
+    lookers = [threading.Thread(target=look) for _ in range(2)]
+    for looker in lookers:
+        looker.start()
+    time.sleep(0.3)
+    end.set()
+    for looker in lookers:
+        looker.join()
+    assert len(looks) > 100 and not any(looks)
+    with directory.lock.open() as looked_at:
+        fcntl.flock(looked_at, fcntl.LOCK_SH)
+        timer = threading.Timer(0.03, fcntl.flock, (looked_at, fcntl.LOCK_UN))
+        timer.start()
+        descriptor = directory.hold()
+        timer.join()
+    assert descriptor is not None
+    os.close(descriptor)

@@ -271,6 +271,14 @@ def test_the_fence_shortens_what_leads_out_and_leaves_what_leads_back(monkeypatc
     assert Robot.told == [((0.0, 0.0), 0.5)]
 
 
+def test_the_fence_holds_in_a_run_that_is_faster_than_its_world(monkeypatch: pytest.MonkeyPatch) -> None:
+    """At rate 8 a simulated body moves for 8 s of the world in the second for which a command counts."""
+    body = started(monkeypatch, ((39.0, 5.0, 0.0), None), **{"bodies.fence": 1.0, "arena.width": 40.0, "bodies.hold": 1.0, "run.rate": 8.0})
+    body.handle(Timer(), 0.0)
+    body.handle(command(0), 0.01)
+    assert Robot.told == [((0.25, 0.0), 0.5)]
+
+
 def test_an_epoch_that_lies_too_far_ahead_is_refused() -> None:
     settings = config(**{"bodies.epoch": 1000.0, "run.clock": "realtime"})
     check_epoch(settings, 941.0)

@@ -43,6 +43,14 @@ def test_all_of_one_body_before_anything_of_the_other_gives_the_truths_of_any_ot
     assert [(truth.tick, truth.poses_bytes, truth.alive) for truth in starved] == [(t.tick, t.poses_bytes, t.alive) for t in usual]
 
 
+def test_an_observation_of_a_tick_after_the_run_counts_for_nothing() -> None:
+    made = witness(*TEAM)
+    words = [at(name, tick) for tick in range(20) for name in TEAM]
+    words[7:7] = [at("s1", 50_000)]
+    truths = [truth for number, word in enumerate(words) for truth in made.take(word, float(number))]
+    assert [(truth.tick, truth.alive) for truth in truths] == [(tick, TEAM) for tick in range(20)]
+
+
 def test_a_body_that_is_silent_for_long_is_waited_for_no_more() -> None:
     made = witness(*TEAM)
     assert not take_all(made, [at("s1", tick) for tick in range(LAG + 2)], 5.0)
