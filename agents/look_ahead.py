@@ -55,11 +55,13 @@ class GossipHistory:
     def put(self, gossip: Gossip, announced: AnnouncedSensor) -> bool:
         """Keep a gossip; whether it is the first one of its sender and tick.
 
-        An agent without observations plays no round, and so drops no gossip: of too many ticks the one that came first goes.
+        An agent without observations plays no round, and so drops no gossip: of too many ticks the one goes in which the fewest have
+        spoken, of several the one that came first. A peer can make up ticks, so those of own gossips go last.
         """
         heard = self._said.setdefault(gossip.tick, {})
         if len(self._said) > self._most_ticks:
-            del self._said[next(iter(self._said))]
+            others = [tick for tick in self._said if tick != gossip.tick]
+            del self._said[min(others, key=lambda tick: (self._context.name in self._said[tick], len(self._said[tick])))]
         is_new = gossip.sender not in heard
         heard[gossip.sender] = gossip, announced
         return is_new

@@ -101,7 +101,7 @@ class Pace:
         faster = self._power(max(calm, gap))
         self.need = slower if slower > self.need else min(self.need, faster)
         own = max(self._stated, min(self.need, self._unannounced))
-        before, self.current = self.current, min(self._most, max([own, *needs]))
+        before, self.current = self.current, self._power(max([own, *needs]))  # also where a peer states no power of two
         if self.current < before:
             self._uneven_until = tick + 2 * before
 

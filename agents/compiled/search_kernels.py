@@ -196,12 +196,9 @@ def _best_goal(
     side = search[BIN]
     radius = _service_radius(numbers[REACH], side)
     wide = radius + PLAN_MARGIN * side
-    box = (
-        max(int(np.floor((gy - wide) / side)), 0),
-        min(int(np.floor((gy + wide) / side)), rows - 1),
-        max(int(np.floor((gx - wide) / side)), 0),
-        min(int(np.floor((gx + wide) / side)), columns - 1),
-    )
+    low, left = min(max(int(np.floor((gy - wide) / side)), 0), rows), min(max(int(np.floor((gx - wide) / side)), 0), columns)
+    high, right = min(int(np.floor((gy + wide) / side)), rows - 1), min(int(np.floor((gx + wide) / side)), columns - 1)
+    box = low, max(high, low - 1), left, max(right, left - 1)  # empty where the sensor is far from the arena
     watched_mass, values = _bin_values(states, weights, seen, numbers, search, box)
     near = _partners_near(partners, gx, gy, wide, side)
     size = watched_mass.size

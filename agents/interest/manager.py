@@ -28,6 +28,7 @@ from agents.round import COPY_HORIZON, AgentContext, RoundResult
 from protocol.keys import beacons_in, one_of, order, tokens_of
 from protocol.messages import Beacon, Gossip, Observation
 from protocol.node import Effect, Reopen, Subscribe, Unsubscribe
+from protocol.pose import clip_velocity
 from protocol.random_streams import random_key
 from protocol.sensing import Pose, WedgeSensor
 
@@ -346,8 +347,8 @@ def question(own: Beacon, tile: tuple[int, int]) -> Beacon:
 
 
 def pose_after(pose: Pose, command: tuple[tuple[float, float], float], config: AgentConfig) -> Pose:
-    """The pose after a tick of a command, which is within the limits of the body."""
-    (vx, vy), turn = command
+    """The pose after a tick of a command, whose velocity the body clips to its limit."""
+    (vx, vy), turn = clip_velocity(command[0], config.limits.speed), command[1]
     return pose[0] + vx * config.run.dt, pose[1] + vy * config.run.dt, pose[2] + turn * config.run.dt
 
 

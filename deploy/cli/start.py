@@ -14,12 +14,13 @@ from deploy.cli.scenario_checks import check_platform_class
 from deploy.installation import command, environment
 from deploy.live.processes import Spawn, child_environment
 from deploy.live.zygote import Zygote
-from deploy.scenario import Scenario, refuse_oracle, targets_in_words, unsimulated, with_deaths, with_run_name
+from deploy.scenario import Scenario, bodies_of, refuse_oracle, targets_in_words, unsimulated, with_deaths, with_run_name
 from deploy.scoring.tick_rate import too_small
 from deploy.storage.kept_runs import new_run_directory
 from deploy.storage.run_directory import runs_folder
 from protocol.endpoints import check_loopback
 from protocol.settings import BadSetting
+from world.platform import SIMULATED
 
 DETACHED = "COVEY_DETACHED"  # the environment variable that hands a detached run its name
 MOST_BESIDE = 64  # agents of a swarm that is simulated beside a demo
@@ -53,7 +54,8 @@ def demo(scenario: Scenario, requested_name: str | None, showing: DisplayOptions
     """A scenario live, with 3 agents killed at mid-run unless the options say otherwise."""
     scenario = with_deaths(scenario)
     agents, run = len(scenario.members), scenario.run
-    who = f"{agents} agent processes and one world, {targets_in_words(scenario)}"
+    bodies = "as many of their bodies" if bodies_of(scenario) else "one world"
+    who = f"{agents} agent processes and {bodies}, {targets_in_words(scenario)}"
     title = f"{who}, {run.seconds:g} s of world time, {_speed(scenario)}; Ctrl-C ends it"
     run_live(scenario, requested_name, title, showing, spawn)
 
@@ -61,8 +63,10 @@ def demo(scenario: Scenario, requested_name: str | None, showing: DisplayOptions
 def other_law(scenario: Scenario) -> str | None:
     """The control law that a demo shows beside that of the scenario; None where there is none, or it cannot be simulated in time."""
     struck = {name.strip() for fault in scenario.faults for name in fault.who.split(",")}
-    if scenario.recorded.kind == "mrclam" or len(scenario.members) > MOST_BESIDE or struck & unsimulated(scenario):
-        return None  # recorded robots drive as they drove
+    if scenario.bodies.platform != SIMULATED or scenario.recorded.kind == "mrclam":
+        return None  # robots have one driver, and recorded ones drive as they drove
+    if len(scenario.members) > MOST_BESIDE or struck & unsimulated(scenario):
+        return None
     return {"lloyd": "search-and-track", "search-and-track": "lloyd"}.get(scenario.control.mode)
 
 

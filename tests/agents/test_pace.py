@@ -110,6 +110,13 @@ def test_the_longest_pace_is_a_second_or_eight_ticks(period: float, most: int) -
     assert pace.current == most
 
 
+def test_a_peer_that_states_no_power_of_two_gets_the_next_slower_pace() -> None:
+    """One wrong bit makes 3 of 1. Agents of paces 3 and 4 would share one tick in twelve."""
+    pace = Pace(PERIOD, measured=True)
+    pace.close(0, [3])
+    assert pace.current == 4
+
+
 def test_after_a_tick_between_that_took_too_long_there_is_no_time_until_the_next_round_has_ended() -> None:
     pace, seen = Pace(PERIOD, measured=True), []
     pace.open(0, 0.0)

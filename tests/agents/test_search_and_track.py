@@ -6,7 +6,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from agents.agent import Agent
 from agents.backend import PLAIN
+from agents.compiled.backend import FAST
 from agents.config import AgentConfig, ControlSettings, SearchSettings
 from agents.coverage.laws import control_law
 from agents.coverage.search_and_track import SearchAndTrack
@@ -28,7 +30,9 @@ from agents.round import context_of
 from agents.tracking.particles import NO_PARTICLES, Particles, unlabelled
 from protocol.codec import decode, encode
 from protocol.fields import Malformed
-from protocol.messages import Gossip
+from protocol.message import Vector
+from protocol.messages import Command, Gossip, Observation
+from protocol.node import Started, received
 from protocol.sensing import SENSOR_CLASSES, Pose, WedgeSensor
 from tests.agents.gossip_table import table
 
@@ -188,7 +192,7 @@ def test_sectors_count_counter_clockwise_from_ahead() -> None:
     assert sector_of(np.cos(angles), np.sin(angles)).tolist() == [0, 0, 1, 18, 36, 36, 71, 0]
 
 
-def received(**fields: Any) -> None:
+def receive(**fields: Any) -> None:
     """Raise what a receiver of a gossip with these fields raises."""
     gossip = Gossip(sender="s1", incarnation=1, tick=4, pose=(0, 0, 0), cod=(0, 0), power_radius=1.0, unused=1.0, **fields)
     decode("covey/demo/gossip/s1", encode(gossip))
@@ -197,13 +201,13 @@ def received(**fields: Any) -> None:
 @pytest.mark.parametrize("goal", [(math.nan, 1.0), (1.0, math.inf), (1.0e7, 1.0)])
 def test_a_goal_that_is_no_place_is_refused(goal: tuple[float, float]) -> None:
     with pytest.raises(Malformed, match="goal"):
-        received(goal=goal)
+        receive(goal=goal)
 
 
 @pytest.mark.parametrize("value", [math.nan, -1.0, math.inf])
 def test_a_utilisation_that_is_no_number_is_refused(value: float) -> None:
     with pytest.raises(Malformed, match="goal_utilisation"):
-        received(goal_utilisation=value)
+        receive(goal_utilisation=value)
 
 
 def test_an_agent_without_a_goal_counts_as_one_that_stays() -> None:
@@ -278,3 +282,17 @@ def test_plain_and_compiled_decisions_agree_when_a_tick_is_long(speed: float, tu
         plain, compiled = decide(known, memory), fast.decide(known, memory)
         assert plain[:4] == compiled[:4]
         assert all(np.array_equal(one, other) for one, other in zip(plain.memory, compiled.memory))
+
+
+@pytest.mark.parametrize("place", [(50.0, -45.0), (50.0, 145.0), (-45.0, 50.0), (145.0, 50.0), (145.0, 145.0)])
+def test_a_body_far_outside_of_the_arena_is_driven_back_by_both_arithmetics(place: Vector) -> None:
+    """No bin lies near it then, and no goal has been announced yet."""
+    seen = Observation(sender="world", incarnation=1, recipient="s1", tick=0, time=0.0, pose=(*place, 0.0))
+    commands = []
+    for backend in (PLAIN, FAST):
+        agent = Agent(AgentConfig(members={"s1": "A"}, control=ControlSettings(mode="search-and-track")), "s1", 1, backend)
+        agent.handle(Started(), 0.0)
+        commands += [effect for effect in agent.handle(received(seen), 1.0) if isinstance(effect, Command)]
+    assert len(commands) == 2 and commands[0] == commands[1]
+    x, y = commands[0].velocity
+    assert (50.0 - place[0]) * x + (50.0 - place[1]) * y > 0.0

@@ -204,6 +204,11 @@ def test_a_demo_shows_search_and_track_beside_the_paper_unless_the_team_is_large
     assert other_law(resolve(name, settings)) == law
 
 
+def test_the_demo_of_real_bodies_has_one_arena_for_they_have_one_driver() -> None:
+    platform = {"bodies.host": "own", "bodies.platform": "covey.examples.robots:DifferentialDrive"}
+    assert other_law(resolve("convergence", platform)) is None
+
+
 def test_the_demo_of_a_world_that_dies_has_one_arena() -> None:
     """A simulation has no process of the world that could be killed."""
     assert other_law(RunOptions(kill=["world@5"]).variant("quick")) is None

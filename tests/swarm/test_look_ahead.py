@@ -141,6 +141,22 @@ def test_an_owner_keeps_the_particles_that_it_states_in_few_bytes() -> None:
     assert sum(len(agent.outcome.belief.mine.targets.ids) for agent in seen.agents.values()) > 100
 
 
+def test_made_up_ticks_of_one_peer_push_out_no_gossip_of_the_own_agent_or_of_several() -> None:
+    context = context_of(agent_config(resolve("efficacy", {"run.dt": DT})), "s1", "A", PLAIN)
+    history, sensor = GossipHistory(context, 4), context.announced
+
+    def said(name: str, tick: int) -> Gossip:
+        return Gossip(sender=name, incarnation=1, tick=tick, pose=(1.0, 1.0, 0.0), cod=(1.0, 1.0), power_radius=0.0, unused=0.0)
+
+    history.put_own(said("s1", 7))
+    for name in ("s2", "s3"):
+        history.put(said(name, 8), sensor)
+    for tick in range(1000, 1200):
+        history.put(said("s4", tick), sensor)
+    assert history.table(said("s1", 7)).names == ("s1",) and history.own_gossip(7, said("s1", 9)).tick == 7
+    assert history.own_gossip(7, said("s1", 9)).scanned and history.has_later("s3", 7) and len(history._said) <= history._most_ticks
+
+
 def test_a_density_that_was_moved_on_shows_weak_targets_and_none_twice() -> None:
     """After 2 s: a quarter of a target is left at its peak, or 1.3 expected targets."""
     scenario = resolve("efficacy", {"run.dt": DT})
