@@ -69,7 +69,7 @@ class CheckedMotion:
         """As the motion says."""
         what = f"{self._name}.move of {len(ids)} targets"
         with as_bad_setting(what):
-            answer = self._motion.move(positions, headings, ids, tick)
+            answer = self._motion.move(positions.copy(), headings.copy(), ids.copy(), tick)
         if not isinstance(answer, tuple) or len(answer) != 2:
             raise BadSetting(f"{what} returned {shown(answer)}: should be positions (T, 2) and headings (T,)")
         count = len(ids)

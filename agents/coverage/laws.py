@@ -52,7 +52,8 @@ class CheckedLaw:
     def command(self, situation: Situation) -> ControlInput:
         """The command of the law, clipped to the limits; raises BadSetting if it is not ((vx, vy), turn rate) of finite numbers."""
         with as_bad_setting(f"{self._name}.command"):
-            answer = self._law.command(situation)
+            own = situation._replace(generators=situation.generators.copy())  # in a simulation all agents share them
+            answer = self._law.command(own)
         try:
             (vx, vy), turn_rate = answer
             numbers = tuple(map(float, (vx, vy, turn_rate)))

@@ -71,6 +71,21 @@ class Reckless:
         return (30.0, -40.0), -100.0
 
 
+class Scribbler:
+    """A law that writes into what it is given."""
+
+    def command(self, situation: Situation) -> ControlInput:
+        situation.generators[:] = 0.0
+        return (0.0, 0.0), 0.0
+
+
+def test_a_law_that_writes_into_its_situation_changes_that_of_no_other_agent() -> None:
+    config = AgentConfig(control=ControlSettings(mode=f"{__name__}:Scribbler"))
+    here = situation()._replace(generators=np.ones((3, 3)))
+    control_law(config).command(here)
+    assert (here.generators == 1.0).all()
+
+
 class NoLaw:
     """It has no method command."""
 

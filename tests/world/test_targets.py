@@ -180,6 +180,24 @@ class Eastward:
         return positions + np.array([1.0, 0.0]), np.zeros(len(headings))
 
 
+class Scribbling(Eastward):
+    """A motion that writes into what it is given."""
+
+    def move(self, positions: np.ndarray, headings: np.ndarray, ids: np.ndarray, tick: int) -> tuple[np.ndarray, np.ndarray]:
+        moved = super().move(positions, headings, ids, tick)
+        ids[:], positions[:] = 0, 0.0
+        return moved
+
+
+def test_a_motion_that_writes_into_what_it_is_given_renames_no_target() -> None:
+    motions = (f"{__name__}:{name}" for name in ("Eastward", "Scribbling"))
+    plain, scribbled = (Targets(TargetSettings(count=5, motion=motion), SQUARE, 0.25, seed=1) for motion in motions)
+    for tick in (1, 2):
+        after(plain, tick)
+        after(scribbled, tick)
+    assert scribbled.ids.tolist() == plain.ids.tolist() and np.array_equal(scribbled.positions, plain.positions)
+
+
 class Motionless:
     def __init__(self, settings: TargetSettings, dt: float, seed: int) -> None:
         pass
