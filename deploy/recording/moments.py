@@ -28,19 +28,26 @@ class Moment(NamedTuple):
 
 
 def moments(recording: Recording, scorer: Scorer) -> Iterator[Moment]:
-    """Every tick but the last. At the end the scorer has all scores, those of the last ticks and of ticks with late estimates, too."""
-    picture, newest = Picture(recording.scenario), 0
+    """Every tick of which the world has told, once. At the end the scorer has all scores, those of ticks with late estimates, too."""
+    picture, heard = Picture(recording.scenario), -1  # the newest tick
     scorer.on_event = picture.see
     scorer.on_report = lambda told: picture.note("told", told.who, told.text, told.time)
     faults = deque(recording.faults)
     for reached in rescore_slowly(recording, scorer):
         while faults and faults[0].time <= reached:
             picture.note_fault(faults.popleft())
-        if picture.truth is not None and picture.truth.tick > newest:
-            newest = picture.truth.tick
-            picture.show(newest - 1)
-            assert picture.shown is not None
-            yield Moment(picture, picture.shown.time)
+        if picture.truth is not None and picture.truth.tick > heard:
+            if heard >= 0:
+                yield _moment(picture, heard)
+            heard = picture.truth.tick
+    if heard >= 0:
+        yield _moment(picture, heard)
+
+
+def _moment(picture: Picture, tick: int) -> Moment:
+    picture.show(tick)
+    assert picture.shown is not None
+    return Moment(picture, picture.shown.time)
 
 
 def colour_of(index: int) -> tuple[float, float, float]:

@@ -125,11 +125,11 @@ def test_the_drawing_for_foxglove_keeps_to_the_schema_of_scene_updates(run: Run,
     count = write_foxglove(run[1], tmp_path / "a.foxglove.mcap")
     schema = json.loads(SCENE_SCHEMA.read_text(encoding="utf-8"))
     scenes, scores = drawn_for_foxglove(tmp_path / "a.foxglove.mcap")
-    assert len(scenes) == count == 19
+    assert len(scenes) == count == 20
     assert all(fits(scene, schema) for scene in scenes)
     assert scores[-1]["ospa"] == run[0].scorer.scores[scores[-1]["tick"]].ospa
     moments = [scene["entities"][0]["timestamp"] for scene in scenes]
-    assert [moment["sec"] + 1e-9 * moment["nsec"] for moment in moments] == [score["time"] for score in scores[:-1]]
+    assert [moment["sec"] + 1e-9 * moment["nsec"] for moment in moments] == [score["time"] for score in scores]
     entities = {entity["id"]: entity for entity in scenes[10]["entities"]}
     assert {"arena", "targets", "estimates", "agent s1"} <= set(entities)
     assert len(entities["targets"]["spheres"]) == 3
@@ -179,6 +179,17 @@ def test_faults_and_what_became_of_them_stand_on_the_time_line_of_a_drawing(tmp_
     happened = [(one.kind, one.time, one.text) for one in last.picture.happenings]
     assert ("partition", 1.0, "cut off s1, s2") in happened and ("heal", 2.0, "s1, s2: no longer cut off") in happened
     assert told and [(time, text) for kind, time, text in happened if kind == "told"] == told
+
+
+def test_a_tick_is_drawn_once_also_beside_those_that_a_world_that_was_restarted_has_left_out(tmp_path: Path) -> None:
+    recorder, ticks = open_recorder(tmp_path / "a.mcap", resolve("quick", {}), virtual=True), (0, 1, 2, 3, 5, 6, 7, 8)
+    for tick in ticks:
+        truth = Truth(sender="world", incarnation=1 if tick < 4 else 2, tick=tick, time=0.25 * tick)
+        recorder.see(received(truth, payloads=(codec.encode(truth),)), 0.25 * tick)
+    recorder.close()
+    recording = Recording(tmp_path / "a.mcap")
+    drawn = [moment.time / 0.25 for moment in moments(recording, Scorer(recording.scenario, recorded=True))]
+    assert drawn == list(ticks)
 
 
 def test_without_rerun_its_export_says_what_to_install(run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
