@@ -107,7 +107,8 @@ def _follow(
 def _what_changed(trial: Job, key: str, code: str) -> str:
     """What has changed since the study began, and the remedy, when a worker of program `code` gives a row of another key for a trial."""
     if trial.key() != key:
-        return f"{trial.file()}: was changed while the study ran; undo that and start the study again, or all trials are played anew"
+        changed = f"{trial.file()}: it, or a file that it names, was changed while the study ran"
+        return f"{changed}; undo that and start the study again, or all trials are played anew"
     return (
         f"a worker runs another program ({code}) than this one: it has another version, or a source was changed while the study ran"
         f" ({newest_source()} was the last); start the study again"

@@ -5,8 +5,8 @@
              results.parquet   the same; both rewritten when the study ends
              lock              held while the study runs
 
-A row counts when its key is that of a planned trial: the key is a hash of every setting and of the program. So a second start goes
-on, more trials extend a study, and a changed program runs everything anew.
+A row counts when its key is that of a planned trial: the key is a hash of every setting, of the program, and of the user's own classes
+and the recorded data that the scenario names. So a second start goes on, more trials extend a study, and what was changed runs anew.
 """
 
 import csv

@@ -7,7 +7,9 @@ with it target tracks, starts and every die of the detectors.
 import hashlib
 import json
 import shlex
+import sys
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -18,7 +20,7 @@ from deploy.scenario import SEARCH_EXTRACTION, Scenario, find, resolve
 from deploy.scoring.error_parts import ErrorParts
 from deploy.scoring.result import Result
 from deploy.simulation import Simulation
-from protocol.settings import BadSetting
+from protocol.settings import BadSetting, load_named
 
 Row = dict[str, Any]
 ROOMS = Path(__file__).resolve().parents[2]  # the folder that holds the rooms
@@ -123,8 +125,34 @@ class Trial(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def key_of(made_of: list[Any], scenario: Scenario) -> str:
-    """The key of a run: a hash of what it is made of and of all settings of its scenario, whose file may have changed meanwhile."""
-    return hashlib.blake2b(json.dumps(made_of).encode() + msgspec.json.encode(scenario), digest_size=8).hexdigest()
+    """The key of a run: a hash of what it is made of, of all settings of its scenario, and of the files that the scenario names.
+
+    Each of these files, and that of the scenario, may have changed meanwhile.
+    """
+    digest = hashlib.blake2b(json.dumps(made_of).encode() + msgspec.json.encode(scenario), digest_size=8)
+    for file in [*_class_files(scenario), *_recorded_files(scenario)]:
+        digest.update(hashlib.blake2b(file.read_bytes()).digest())
+    return digest.hexdigest()
+
+
+def _class_files(scenario: Scenario) -> list[Path]:
+    """The source files of the user's own classes: of each the named module, and the one that the class comes from."""
+    sensors = [sensor.model for sensor in scenario.sensors.values()]
+    found: set[Path] = set()
+    for name in (*sensors, scenario.control.mode, scenario.targets.motion, scenario.bodies.platform):
+        with suppress(ValueError, ImportError):  # a class that cannot be loaded is refused where the run builds it
+            modules = {name.partition(":")[0], getattr(load_named(name), "__module__", "")}
+            sources = [getattr(sys.modules.get(module), "__file__", None) for module in modules]
+            found.update(Path(source) for source in sources if source)
+    return sorted(found)
+
+
+def _recorded_files(scenario: Scenario) -> list[Path]:
+    """The files of the recorded world; none where the targets are simulated."""
+    data = Path(scenario.recorded.data)
+    if scenario.recorded.kind == "none":
+        return []
+    return sorted(path for path in (data.iterdir() if data.is_dir() else [data]) if path.is_file())
 
 
 def check_method(name: str) -> None:

@@ -80,7 +80,10 @@ def test_a_scenario_file_that_changes_in_the_middle_of_a_study_is_named_and_the_
         yield [(1, {"key": trials[1].key(), "code": "a"})]
 
     ahead, tell = RemainingWork(trials, list(enumerate(trials)), [0.0, 0.0]), console_of(as_json=True)
-    with folder.claimed(), pytest.raises(BadSetting, match=r"/mine\.toml: was changed while the study ran; .*; 1 of 2 trials are kept$"):
+    with (
+        folder.claimed(),
+        pytest.raises(BadSetting, match=r"/mine\.toml: it, or a file .* was changed while the study ran; .*; 1 of 2 trials are kept$"),
+    ):
         _follow(engine(), folder, trials, keys, ahead, ProgressBar(tell, ahead, 2, None))
     assert folder.finished().keys() == {keys[0]}
 

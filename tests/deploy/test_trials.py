@@ -1,6 +1,8 @@
 """Trials: pairing, rows that repeat themselves, and keys that tell trials apart."""
 
 import shlex
+from pathlib import Path
+from typing import Any
 
 import msgspec
 import pytest
@@ -8,11 +10,23 @@ import pytest
 from agents.coverage.laws import control_law
 from deploy.scenario import parse_set, resolve
 from deploy.simulation import Simulation, simulate
+from deploy.studies.bodies import BodyRun
+from deploy.studies.robustness import Bout
 from deploy.studies.trials import FLAGS, METHODS, Trial, check_method, cost, fingerprint, run_trial
 from protocol.observer_messages import Truth
 from protocol.settings import BadSetting
 
 SHORT = {"run.seconds": 5.0, "run.dt": 0.5}
+
+SENSOR = """
+import numpy as np
+class Own:
+    speed, reach, area = {}, 4.0, 16.0
+    def probability(self, points, pose):
+        return 0.9 * (np.abs(points - pose[:2]).max(axis=1) < 2.0)
+    def footprint(self, pose):
+        return np.array([[-2.0, -2.0], [2.0, -2.0], [2.0, 2.0], [-2.0, 2.0]]) + pose[:2]
+"""
 
 
 def trial(method: str = "power", seed: int = 3, **options: object) -> Trial:
@@ -73,6 +87,37 @@ def test_keys_differ_in_every_setting_and_in_nothing_else() -> None:
     others = [trial("voronoi"), trial(seed=4), trial(**{"run.dt": 0.25}), msgspec.structs.replace(trial(), team="A2,B3")]
     assert len({other.key() for other in [trial(), *others]}) == 5
     assert trial().key() == trial().key()
+
+
+def keys_of_all_studies(options: dict[str, Any]) -> set[str]:
+    """The keys of a trial, of a bout and of a run of the study of bodies with these settings."""
+    bout = Bout(kind="none", level=0.0, seed=1, at=2.0, seconds=5.0, options=options)
+    return {trial(**options).key(), bout.key(), BodyRun(model="points", seed=1, seconds=5.0, options=options).key()}
+
+
+def test_a_class_of_the_users_own_that_has_changed_gives_the_runs_of_all_studies_other_keys(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The class stands in the named module, or comes from there."""
+    monkeypatch.syspath_prepend(tmp_path)
+    (tmp_path / "brought_by.py").write_text("from brought import Own\n")
+    fields = ("targets.motion", "bodies.platform", "control.mode", "sensors.A.model")
+    found: list[list[set[str]]] = []
+    for speed in (0.0, 2.0):
+        (tmp_path / "brought.py").write_text(SENSOR.format(speed))
+        found.append([keys_of_all_studies({field: f"{module}:Own"}) for field in fields for module in ("brought", "brought_by")])
+    for before, after in zip(*found):
+        assert len(before) == 3 and not before & after
+
+
+@pytest.mark.parametrize("data", ["crowd", "crowd/one.txt"])
+def test_recorded_data_that_have_changed_give_the_runs_of_all_studies_other_keys(data: str, tmp_path: Path) -> None:
+    (tmp_path / "crowd").mkdir()
+    found = []
+    for place in (5.0, 6.0):
+        (tmp_path / "crowd" / "one.txt").write_text(f"0 1 {place} 0 5 0 0 0\n")
+        found.append(keys_of_all_studies({"recorded.kind": "pedestrians", "recorded.data": str(tmp_path / data)}))
+    assert len(found[0]) == 3 and not found[0] & found[1]
 
 
 def test_methods_are_partitions_and_control_laws_that_exist() -> None:
