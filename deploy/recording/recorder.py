@@ -38,6 +38,7 @@ FLUSH_SECONDS = 0.9
 CHUNK_SECONDS = 5.0  # of the world; larger chunks save nothing more
 CHUNK_BYTES = 1 << 20  # of payload; a flood fills memory up to here, in both writers: 4 MiB cost up to 24, and a file only 1 % smaller
 WRITER_BYTES = 1 << 40  # the writers are never to close a chunk by themselves
+MOST_CHANNELS = 60_000  # keys of one recording: an MCAP file numbers them with 16 bits
 LEVEL = 6  # of zstd: the file is 3 % smaller than at the library's 3, at 4 ms more for a MB; higher levels save nothing more
 PROFILE = "covey"
 ABOUT, FAULT = "covey", "covey.fault"  # names of metadata records
@@ -85,7 +86,7 @@ class Recorder:
         """`wall` gives the publish times, s; None where time is virtual. Raises OSError when the file cannot be made."""
         self.path = path
         self.messages = 0  # recorded
-        self.lost = 0  # after the recording has stopped on an error
+        self.lost = 0  # messages after the recording has stopped on an error, and those under keys beyond `MOST_CHANNELS`
         self.stopped: str | None = None  # why it stopped by itself
         self._wall = wall
         self._closed = False
@@ -163,6 +164,9 @@ class Recorder:
             self.lost += self.stopped is not None
             return
         published = self._now if self._wall is None else 1_000_000 * round(1e3 * self._wall())
+        if len(self._channels) >= MOST_CHANNELS and key not in self._channels:  # anybody can make up keys
+            self.lost += 1
+            return
         channel = self._channel(key)
         self.messages += 1
         self._pending += len(payload)

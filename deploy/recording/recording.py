@@ -74,8 +74,11 @@ class Recording:
         if metadata is None:
             raise BadSetting(f"{path}: no recording of Covey: should be an MCAP file that --record has written")
         self.run = metadata.get("run", "")
-        self.versions: dict[str, object] = msgspec.json.decode(metadata.get("versions.json", "{}"))
-        self.scenario = _scenario(path, metadata["run.toml"])
+        try:
+            self.versions: dict[str, object] = msgspec.json.decode(metadata.get("versions.json", "{}"))
+            self.scenario = _scenario(path, metadata["run.toml"])
+        except (msgspec.MsgspecError, tomllib.TOMLDecodeError, KeyError) as error:
+            raise BadSetting(f"{path}: what it says of its run is damaged: {error}") from None
 
     @property
     def seconds(self) -> float:

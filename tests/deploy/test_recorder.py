@@ -13,10 +13,10 @@ import zstandard
 from mcap.reader import make_reader
 from mcap.records import Chunk
 from mcap.stream_reader import StreamReader
-from mcap.writer import MCAP0_MAGIC
+from mcap.writer import MCAP0_MAGIC, Writer
 
 from deploy.recording.observers import Observers, open_recorder, recording_path
-from deploy.recording.recorder import CHUNK_SECONDS, Recorder, message_schema
+from deploy.recording.recorder import ABOUT, CHUNK_SECONDS, Recorder, message_schema
 from deploy.recording.recording import Recording, event_of, find_recording
 from deploy.recording.rescore import difference, rescore
 from deploy.scenario import FaultSettings, Scenario, resolve
@@ -316,6 +316,31 @@ def test_a_full_disk_ends_the_recording_with_a_counter_and_what_was_written_open
     entries = list(Recording(tmp_path / "a.mcap").entries())
     assert 0 < len(entries) <= int(messages)
     assert len(entries) % 50 == 0
+
+
+def test_made_up_keys_end_no_recording(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("deploy.recording.recorder.MOST_CHANNELS", 3)
+    recorder = Recorder(tmp_path / "a.mcap", scenario(), None)
+    for number in range(5):
+        recorder.see(Rejected(f"x{number}", "format", f"covey/quick/gossip/x{number}", b"?"), 0.0)
+    recorder.see(Rejected("x1", "format", "covey/quick/gossip/x1", b"!"), 0.0)
+    recorder.close()
+    entries = [(entry.key, entry.payload) for entry in Recording(tmp_path / "a.mcap").entries()]
+    assert entries == [*((f"covey/quick/gossip/x{number}", b"?") for number in range(3)), ("covey/quick/gossip/x1", b"!")]
+    assert recorder.lost == 2 and recorder.stopped is None
+
+
+@pytest.mark.parametrize(("name", "text"), [("run.toml", "[run"), ("versions.json", "{"), ("run.toml", None)])
+def test_a_recording_whose_head_is_damaged_is_refused_by_name(tmp_path: Path, name: str, text: str | None) -> None:
+    about = {"run.toml": '[run]\nscenario = "quick"\n', "versions.json": "{}", "run": "quick"}
+    about = {key: value for key, value in {**about, name: text}.items() if value is not None}
+    with (tmp_path / "a.mcap").open("wb") as file:
+        writer = Writer(file)
+        writer.start("covey")
+        writer.add_metadata(ABOUT, about)
+        writer.finish()
+    with pytest.raises(BadSetting, match=r"a\.mcap: what it says of its run is damaged: "):
+        Recording(tmp_path / "a.mcap")
 
 
 def test_what_is_no_recording_is_refused_by_name(tmp_path: Path) -> None:
