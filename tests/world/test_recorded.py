@@ -98,6 +98,36 @@ def test_a_person_who_would_fly_is_left_out_and_named(tmp_path: Path) -> None:
     assert found.visits[0].places.tolist() == [[1.0, 1.0], [1.5, 1.0]]
 
 
+@pytest.mark.parametrize(
+    ("places", "wrong"),
+    [
+        ((25, 5, 5, 5), [1]),  # the first one
+        ((25, 45, 5, 5, 5), [1, 2]),  # the first two, which contradict each other as well
+        ((5, 25, 5, 5), [2]),
+        ((5, 5, 25, 25, 5, 5), [3, 4]),  # two that agree, after two that do
+        ((5, 25), [2]),  # without a third the earlier one is kept
+        ((5,), []),
+    ],
+)
+def test_of_two_reports_that_contradict_each_other_the_third_decides(tmp_path: Path, places: tuple[int, ...], wrong: list[int]) -> None:
+    """Person 1 stands at 5 m and is reported five times a second; the file names comments first, so its reports begin in line 2."""
+    file = people(tmp_path, *(f"{5 * number} 1 {x} 5" for number, x in enumerate(places)))
+    found = read_pedestrians(file, PEOPLE)
+    assert [remark.partition(":")[0] for remark in found.remarks] == [f"{file}, line {number + 1}" for number in wrong]
+    [visit] = found.visits
+    kept = [number for number in range(1, len(places) + 1) if number not in wrong]
+    assert visit.times.tolist() == pytest.approx([0.2 * (number - 1) for number in kept])
+    assert {*visit.places[:, 0].tolist()} == {5.0}
+
+
+def test_a_ship_begins_with_its_first_true_report_and_what_two_stations_received_of_it_counts_once(tmp_path: Path) -> None:
+    wild, true = "235 50.5 -1.0", "235 50.0 -1.0"
+    file = ships(tmp_path, f"0 {wild}", f"0 {wild}", f"10 {true}", f"10 {true}", f"20 {true}", "30 236 91.0 -1.0")
+    found = read_ships(file, SHIPS)
+    assert [visit.times.tolist() for visit in found.visits] == [[10.0, 20.0]]
+    assert [remark.split(":")[0] for remark in found.remarks] == [f"{file}, line {number}" for number in (2, 7)]
+
+
 def test_ships_lie_east_and_north_of_the_origin(tmp_path: Path) -> None:
     file = ships(tmp_path, "0 235 50.01 -0.99", "10 235 50.01 -0.99")
     east, north = read_ships(file, SHIPS).visits[0].places[0]
@@ -216,3 +246,16 @@ def test_a_recording_that_is_not_there_or_too_short_is_named(options: dict[str, 
     with pytest.raises(BadSetting) as error:
         recording_of(world_config(resolve("students03", options)))
     assert str(error.value) == said
+
+
+def test_the_last_tick_of_a_run_lies_within_the_recording(tmp_path: Path) -> None:
+    """Of a recording of 4 s: in ticks of 0.25 s the last of 17 is its end, where everybody is still there."""
+    file = people(tmp_path, *(f"{frame} 1 5 5" for frame in range(0, 101, 10)))
+    given = {"recorded.kind": "pedestrians", "recorded.data": str(file), "run.dt": 0.25}
+    whole = world_config(resolve("quick", {**given, "run.seconds": 4.25}))
+    targets = sources_of(whole).targets
+    for _ in range(whole.run.ticks - 1):
+        targets.step()
+    assert (targets.tick, len(targets.ids)) == (16, 1)
+    with pytest.raises(BadSetting, match=r"^run\.seconds = 4\.5: the recording ends before; should be at most 4\.0$"):
+        recording_of(world_config(resolve("quick", {**given, "run.seconds": 4.5})))

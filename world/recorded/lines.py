@@ -49,18 +49,19 @@ class Remarks:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self.texts: list[str] = []
+        self._found: list[tuple[int, str]] = []  # number of the line, and what is said of it
 
     def leave_out(self, line: Line, text: str) -> None:
         """Note that a line is left out, and why."""
-        self.texts.append(f"{line.place}: {text}; the line is left out")
+        self._found.append((line.number, f"{line.place}: {text}; the line is left out"))
 
     def check(self, lines: int) -> tuple[str, ...]:
-        """The remarks about a file of so many lines; raises BadSetting when too many of them are wrong."""
-        if len(self.texts) > max(3.0, MOST_WRONG * lines):
-            first = self.texts[0].removesuffix("; the line is left out")
-            raise BadSetting(f"{first}; {len(self.texts)} of {lines} lines like this: should be at most {100 * MOST_WRONG:g} %")
-        return tuple(self.texts)
+        """The remarks about a file of so many lines, in their order; raises BadSetting when too many of them are wrong."""
+        texts = [text for _, text in sorted(self._found)]
+        if len(texts) > max(3.0, MOST_WRONG * lines):
+            first = texts[0].removesuffix("; the line is left out")
+            raise BadSetting(f"{first}; {len(texts)} of {lines} lines like this: should be at most {100 * MOST_WRONG:g} %")
+        return tuple(texts)
 
 
 def text_of(path: Path) -> str:

@@ -6,7 +6,7 @@ from pathlib import Path
 from protocol.settings import BadSetting
 from world.config import RecordedSettings
 from world.recorded.lines import Remarks, blank_lines
-from world.recorded.tracks import RecordedWorld, Report, check_no_hole, tracks_of
+from world.recorded.tracks import RecordedWorld, Report, check_no_hole, tracks_of, without_leaps
 
 FRAMES_PER_SECOND = 25.0
 COLUMNS = ("frame", "person", "x", "z", "y", "vx", "vz", "vy")
@@ -26,11 +26,13 @@ def read_pedestrians(path: Path, settings: RecordedSettings) -> RecordedWorld:
         known = reports.setdefault(person, [])
         if known and known[-1].time == time:
             raise BadSetting(f"{line.place}: person = {person} stands in frame {line.cells[0]} twice")
-        if known and (speed := _speed(known[-1], report)) > FASTEST:
-            remarks.leave_out(line, f"person {person} at {speed:.0f} m/s: should be at most {FASTEST:g} m/s")
-            continue
         known.append(report)
-    visits, away = tracks_of(reports, settings.longest_gap, "person")
+    found: dict[int, list[Report]] = {}
+    for person, known in reports.items():
+        found[person], wrong = without_leaps(known, _speed, FASTEST)
+        for report, speed in wrong:
+            remarks.leave_out(report.line, f"person {person} at {speed:.0f} m/s: should be at most {FASTEST:g} m/s")
+    visits, away = tracks_of(found, settings.longest_gap, "person")
     return RecordedWorld(times[-1], visits, (), (*remarks.check(len(lines)), *away))
 
 

@@ -10,7 +10,7 @@ from protocol.settings import BadSetting
 from world.config import RecordedSettings
 from world.recorded.lines import Line, Remarks, csv_lines
 from world.recorded.local_frame import LocalFrame
-from world.recorded.tracks import RecordedWorld, Report, check_no_hole, tracks_of
+from world.recorded.tracks import RecordedWorld, Report, check_no_hole, tracks_of, without_leaps
 
 COLUMNS = ("Time", "MMSI", "Latitude_degrees", "Longitude_degrees", "COG_degrees", "SOG_knots")
 FARTHEST = 2.0e5  # m from the origin: no coastal station receives a ship from farther away
@@ -32,16 +32,18 @@ def read_ships(path: Path, settings: RecordedSettings) -> RecordedWorld:
         if abs(latitude) > 90.0 or abs(longitude) > 180.0:
             remarks.leave_out(line, f"latitude {latitude:g}, longitude {longitude:g}: should lie within +-90 and +-180 degrees")
             continue
-        report, known = Report(time, *frame.to_plane(latitude, longitude), line), reports.setdefault(ship, [])
+        report = Report(time, *frame.to_plane(latitude, longitude), line)
         away = math.hypot(report.x, report.y)
         if away > FARTHEST or abs((longitude - settings.origin[1] + 180.0) % 360.0 - 180.0) > 90.0:
             from_origin = f"latitude {latitude:g}, longitude {longitude:g}: {away / 1000.0:.0f} km from recorded.origin"
             remarks.leave_out(line, f"{from_origin}; should be at most {FARTHEST / 1000.0:g} km")
-        elif known and _jump(known[-1], report) > FASTEST:
-            remarks.leave_out(line, f"MMSI {ship} at {_jump(known[-1], report):.0f} m/s: should be at most {FASTEST:g} m/s")
-        elif not known or time > known[-1].time:  # a report that two stations received counts once
-            known.append(report)
-    found = {ship: known for ship, known in reports.items() if known}
+        else:
+            reports.setdefault(ship, []).append(report)
+    found: dict[int, list[Report]] = {}
+    for ship, known in reports.items():
+        found[ship], wrong = without_leaps(known, _jump, FASTEST)  # a report that two stations received counts once
+        for report, speed in wrong:
+            remarks.leave_out(report.line, f"MMSI {ship} at {speed:.0f} m/s: should be at most {FASTEST:g} m/s")
     visits, silent = tracks_of(found, settings.longest_gap, "MMSI")
     return RecordedWorld(times[-1], visits, (), (*remarks.check(len(lines)), *silent))
 

@@ -4,7 +4,7 @@ Data types: a `Visit` is a stretch of time in which a target was there without a
 Times in s since the first line of the recording, places in m in the frame of the arena.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -57,6 +57,30 @@ class RecordedWorld(NamedTuple):
     visits: Sequence[Visit]
     bodies: Sequence[ReplayedBody]  # none: the bodies are simulated
     remarks: tuple[str, ...]  # the lines that were left out, and targets that were away in between
+
+
+def without_leaps(
+    reports: Sequence[Report], speed: Callable[[Report, Report], float], fastest: float
+) -> tuple[list[Report], list[tuple[Report, float]]]:
+    """The reports of one target that can be true, and those that cannot, each with its `speed` from or to another, m/s.
+
+    Of two reports that contradict each other, the next one decides; without its word the earlier one is kept. Of agreeing reports of
+    one time the first counts.
+    """
+    kept: list[Report] = []
+    wrong: list[tuple[Report, float]] = []
+    for number, report in enumerate(reports):
+        leap = speed(kept[-1], report) if kept else 0.0
+        if leap > fastest:
+            third = next((reports[n] for n in range(number + 1, len(reports)) if reports[n].time > report.time), None)
+            is_first_wrong = third is not None and speed(report, third) <= fastest < speed(kept[-1], third)
+            if not is_first_wrong or (len(kept) > 1 and speed(kept[-2], report) > fastest):
+                wrong.append((report, leap))
+                continue
+            wrong.append((kept.pop(), leap))
+        if not kept or report.time > kept[-1].time:
+            kept.append(report)
+    return kept, wrong
 
 
 def visits_of(target: int, reports: Sequence[Report], longest_gap: float) -> list[Visit]:
