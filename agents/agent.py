@@ -49,7 +49,7 @@ class Agent(Node):
         self.name, self.incarnation, self.run = name, incarnation, config.run.name
         self.config = config
         self.coalesced_keys = "" if config.timing.look_ahead else "/gossip/"  # no gossip waits where it is measured how late they come
-        self.sensor_class = sensor_class or config.members[name]  # empty: the class that the roster names
+        self.sensor_class = sensor_class or config.members[name]
         self.counters: Counter[str] = Counter()
         self.peer_table = PeerTable(config, name)
         self.tick = -1  # of the newest observation; -1: none has come

@@ -18,7 +18,7 @@ from agents.tracking.step import Step
 from agents.tracking.tracker import RegionInput, RegionUpdate, Tracker
 
 _SHARED: deque[Step] = deque(maxlen=1)  # of the last shared round: the agents that shared it will share the next one
-ASKED = "asked"  # one agent has asked for the table, or several are certain to ask
+ASKED = "asked"  # one agent has asked for the table
 
 
 class SharedRound(NamedTuple):

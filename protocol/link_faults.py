@@ -1,8 +1,8 @@
 """Faults of a link: loss, delay, little bandwidth, duplication, reordering and corruption of payloads between two nodes.
 
 A *condition* describes one direction between two nodes. A *channel* is that direction with its own random stream, keyed by the run
-seed and the two names. So a fault on one link changes no draw of another link. Every message takes the same number of draws: a message
-that is lost at 10 % is lost at 30 % too.
+seed and the two names. So a fault on one link changes no draw of another link. Every message of a faulty link takes the same number of
+draws: a message that is lost at 10 % is lost at 30 % too.
 """
 
 import json

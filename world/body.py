@@ -316,7 +316,7 @@ class Body(Node):
     def _drive(self, command: Command) -> None:
         fence, arena, velocity = self._config.bodies.fence, self._config.arena, command.velocity
         if fence is not None:
-            seconds = self._hold_seconds * self._config.run.rate  # of the world
+            seconds = self._hold_seconds * max(1.0, self._config.run.rate)  # of the world, where that is simulated
             velocity = fenced(velocity, self.pose, (-fence, -fence, arena.width + fence, arena.height + fence), seconds)
         self.platform.drive(velocity, command.turn_rate)
 

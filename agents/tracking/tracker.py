@@ -91,7 +91,7 @@ def unknown_senders(belief: Belief, table: GossipTable) -> frozenset[str]:
 def claims_tile_arena(belief: Belief, table: GossipTable) -> bool:
     """Whether all agents of the diagram of the belief state claims of it: then what they own is the whole density.
 
-    All newcomers share the hash of an empty diagram, 0. It claims nothing, so that their copies count.
+    Before its first round an agent has cut no diagram, and its hash is 0: it claims nothing, so that its copies count.
     """
     agreed = belief.mine.diagram_hash != 0 and table.claimed == (belief.claim_tick, belief.mine.diagram_hash)
     return agreed and bool(belief.generator_names) and belief.generator_names <= table.name_set and not unknown_senders(belief, table)
