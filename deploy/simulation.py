@@ -15,7 +15,7 @@ import msgspec
 
 from agents.agent import Agent
 from agents.backend import Backend
-from deploy.faults.faults import LINK_VERBS, REFUSED, Schedule, check_faults, plain_verb
+from deploy.faults.faults import LINK_VERBS, REFUSED, Schedule, check_faults
 from deploy.faults.injector import Build, Injector
 from deploy.faults.links import Links
 from deploy.oracle import Oracle, without_oracle
@@ -84,9 +84,8 @@ class Simulation:
                 raise BadSetting(f"faults[{number}].who = {name!r}: a simulation has no such process to strike; `covey up` has")
         self.scenario = msgspec.structs.replace(scenario, run=msgspec.structs.replace(scenario.run, clock=clock, max_rate=0.0))
         self.links = Links(scenario.run.seed, list(scenario.members))
-        faulty = any(plain_verb(fault.verb) in LINK_VERBS for fault in scenario.faults)
         period = scenario.run.dt / scenario.run.rate if clock == "lockstep" else 0.0  # virtual time passes as fast as the world's
-        self.bus = VirtualBus(link=link or (self.links if faulty else None), command_delay=period)
+        self.bus = VirtualBus(link=link, command_delay=period)
         self.scorer = Scorer(self.scenario, scores=scores)
         run = self.scenario.run  # the world waits longer for a command than a command takes
         patient = msgspec.structs.replace(self.scenario, run=msgspec.structs.replace(run, patience=max(run.patience, 2.0 * period)))

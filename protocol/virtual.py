@@ -53,7 +53,7 @@ class VirtualBus:
         self.tap: Callable[[Node, Event], None] | None = None  # called after a node has taken an event
         self.apart: Callable[[str, str], bool] = lambda one, other: False  # whether two labels have no session, and see no token
         self.batches = True  # messages of one instant are handed over together; False: one by one, for comparison
-        self._link = link
+        self.link = link  # between all nodes from now on; None: every message arrives at once
         self._command_delay = command_delay
         self._endpoints: dict[str, BusEndpoint] = {}
         self._ready: deque[_Entry] = deque()
@@ -344,7 +344,7 @@ class VirtualBus:
         self.messages += 1
         self.bytes += len(payload)
         held = self._command_delay if isinstance(message, Command) else 0.0
-        if self._link is None and held == 0.0:
+        if self.link is None and held == 0.0:
             self._ready.append(Delivery(listeners, endpoint, type(message), key, payload))
             self.deliveries += len(listeners)
             return
@@ -366,9 +366,9 @@ class VirtualBus:
             self._ready.append(Delivery(at_once, endpoint, type(message), key, payload))
 
     def _carried(self, endpoint: BusEndpoint, listener: BusEndpoint, key: str, payload: bytes) -> Sequence[tuple[float, bytes]]:
-        if self._link is None:
+        if self.link is None:
             return [(0.0, payload)]
-        return self._link.carry(endpoint.node.name, listener.node.name, key, payload, self.now)
+        return self.link.carry(endpoint.node.name, listener.node.name, key, payload, self.now)
 
 
 def _parent(key: str) -> str:

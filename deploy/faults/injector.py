@@ -17,6 +17,7 @@ from deploy.faults.links import Links
 from deploy.scenario import Scenario, agent_config
 from protocol.node import Alive, Gone
 from protocol.random_streams import stream
+from protocol.settings import BadSetting
 from protocol.virtual import VirtualBus
 
 RECONNECT = 0.5  # s from the end of a cut to the new session
@@ -54,6 +55,9 @@ class Injector:
     def strike(self, action: Action) -> None:
         """Carry out a fault; one that no longer applies, such as killing a dead agent, has no effect."""
         if action.verb in LINK_VERBS:
+            self._bus.link = self._bus.link or self._links  # from the first link fault on: to ask for every message takes time
+            if self._bus.link is not self._links:
+                raise BadSetting(f"{action.verb}: a simulation with a link of its own has no other faults of links")
             self._links.act(action)
             self._look_at_sessions()
             return

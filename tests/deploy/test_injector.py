@@ -1,17 +1,21 @@
-"""Who sees whose token after stops, freezes and cuts."""
+"""Who sees whose token after stops, freezes and cuts, and link faults that are struck by hand."""
 
 from dataclasses import dataclass, field
 from typing import Any
 
+import msgspec
 import pytest
 
 from agents.backend import PLAIN
 from deploy.faults.faults import Action
 from deploy.faults.injector import RECONNECT, Injector
 from deploy.faults.links import Links
-from deploy.scenario import resolve
+from deploy.scenario import FaultSettings, resolve
+from deploy.simulation import Simulation
 from protocol.keys import tokens_of
 from protocol.node import Alive, Effect, Event, Gone, Node, Started, Subscribe
+from protocol.observer_messages import Truth
+from protocol.settings import BadSetting
 from protocol.virtual import VirtualBus
 
 LEASE = 2.0  # s
@@ -128,3 +132,24 @@ def test_who_comes_behind_a_cut_is_seen_when_it_heals_and_not_for_a_moment_befor
     team.strike("heal")
     team.run(1.0)
     assert team.sees() == ALL
+
+
+def test_a_link_fault_that_is_struck_by_hand_does_what_one_of_the_scenario_does() -> None:
+    """Half of all messages are lost from tick 4 on; without a fault the run is another one."""
+    calm = resolve("quick", {"team.composition": "A3", "run.seconds": 4.0})
+    loss = FaultSettings(at=1.0, verb="drop", who="100%", value=0.5)
+    listed = Simulation(msgspec.structs.replace(calm, faults=(loss,)), backend=PLAIN).run().transcript
+    struck = Simulation(calm, backend=PLAIN)
+
+    def strike(truth: Truth) -> None:
+        if truth.tick == 4:
+            struck.injector.strike(Action("drop", struck.injector.alive(), 0.5))
+
+    struck.on_truth = strike
+    assert struck.run().transcript == listed != Simulation(calm, backend=PLAIN).run().transcript
+
+
+def test_a_simulation_with_a_link_of_its_own_refuses_other_faults_of_links() -> None:
+    simulation = Simulation(resolve("quick", {"team.composition": "A3"}), link=Links(1, ["s1"]), backend=PLAIN)
+    with pytest.raises(BadSetting, match=r"^drop: a simulation with a link of its own has no other faults of links$"):
+        simulation.injector.strike(Action("drop", ["s1"], 0.5))
