@@ -13,7 +13,7 @@ from agents.coverage.cells import Cell
 from agents.interest.selection import Choice, select_peers
 from agents.tracking import claims, regions
 from agents.tracking.births import background_births
-from agents.tracking.merge import merge, remote_copies
+from agents.tracking.merge import remote_copies
 from agents.tracking.particles import Particles
 from agents.tracking.step import Step
 from agents.tracking.tracker import RegionUpdate
@@ -28,7 +28,6 @@ class Backend(NamedTuple):
     resolve_conflicts: Callable[..., np.ndarray]
     orphaned: Callable[..., np.ndarray]
     remote_copies: Callable[..., Particles]
-    merge: Callable[..., Particles]
     select_peers: Callable[..., Choice]
     decide: Callable[..., search_plan.Decision]
 
@@ -40,7 +39,6 @@ PLAIN = Backend(
     resolve_conflicts=claims.resolve_conflicts,
     orphaned=claims.orphaned,
     remote_copies=remote_copies,
-    merge=merge,
     select_peers=select_peers,
     decide=search_plan.decide,
 )

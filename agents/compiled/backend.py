@@ -18,7 +18,7 @@ from agents.compiled import (
     birth_kernels,
     cell_kernels,
     claim_kernels,
-    merge_kernels,
+    copy_kernels,
     region_kernels,
     run_columns,
     search_kernels,
@@ -81,12 +81,7 @@ def background_births(step: Step) -> Particles:
 def remote_copies(near: Particles, density: Particles, polygon: np.ndarray, claim: Claim, horizon: float, step: Step) -> Particles:
     """See `merge.remote_copies`."""
     cell, run = polygon if len(polygon) else _NO_CORNERS, (*prepared(step.config), step.tick)
-    return Particles(*merge_kernels.remote_copies(tuple(near), tuple(density), cell, claim.generators, claim.wins_ties, horizon, *run))
-
-
-def merge(received: Particles, counts: np.ndarray, copies: Particles, free: np.ndarray) -> Particles:
-    """See `merge.merge`."""
-    return Particles(*merge_kernels.merge(tuple(received), counts, tuple(copies), free))
+    return Particles(*copy_kernels.remote_copies(tuple(near), tuple(density), cell, claim.generators, claim.wins_ties, horizon, *run))
 
 
 _NO_CORNERS = np.empty((0, 2))  # writable, because a read-only array would need a second compilation
@@ -283,7 +278,6 @@ FAST = Backend(
     resolve_conflicts=resolve_conflicts,
     orphaned=orphaned,
     remote_copies=remote_copies,
-    merge=merge,
     select_peers=select_peers,
     decide=decide,
 )

@@ -20,6 +20,7 @@ from agents.config import FilterSettings
 from agents.gossip.table import GossipTable, as_particles
 from agents.tracking.births import prior, prior_around, prior_size
 from agents.tracking.claims import NO_CLAIM, Claim, make_claim
+from agents.tracking.merge import merge
 from agents.tracking.particles import NO_PARTICLES, WIRE_TYPE, Particles, canonical, join, select
 from agents.tracking.phd import predict
 from agents.tracking.step import Step
@@ -188,10 +189,10 @@ class ParticlePhd(NamedTuple):
             belief = _without_claim(belief)
         owned, claims, hashes = stated_claims(belief.mine, unknown, table, last, owned_by_sender)
         received, sizes = join([each.targets for each in owned]), [len(each.targets.ids) for each in owned]
-        counts = self.backend.resolve_conflicts(received.states, sizes, claims, hashes, step.config.timing.overlap)
+        kept = self.backend.resolve_conflicts(received.states, sizes, claims, hashes, step.config.timing.overlap)
         copies = belief.copies.compute()
         free = self.backend.orphaned(copies.states, claims, step.config.arena)
-        return self.backend.merge(received, counts, copies, free)
+        return merge(received, kept, copies, free)
 
     def update(
         self, density: GossipTable | Particles, table: GossipTable, regions: Sequence[RegionInput], step: Step

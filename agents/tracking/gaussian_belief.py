@@ -27,6 +27,7 @@ from agents.tracking.gaussians import (
     unpacked,
     weighted_points,
 )
+from agents.tracking.merge import merge
 from agents.tracking.particles import Particles, canonical, join, select, total
 from agents.tracking.step import Step
 from agents.tracking.tracker import (
@@ -138,9 +139,9 @@ class MixturePhd(NamedTuple):
             belief = _without_claim(belief)
         owned, stated, hashes = stated_claims(belief.mine, unknown, table, last, owned_by_sender)
         received, sizes = join([each.targets for each in owned]), [len(each.targets.ids) for each in owned]
-        counts = self.backend.resolve_conflicts(received.means, sizes, stated, hashes, step.config.timing.overlap)
+        kept = self.backend.resolve_conflicts(received.means, sizes, stated, hashes, step.config.timing.overlap)
         free = self.backend.orphaned(belief.copies.means, stated, step.config.arena)
-        return canonical(join([select(received, counts), select(belief.copies, free)]))
+        return merge(received, kept, belief.copies, free)
 
     def update(self, density: GossipTable | Mixture, table: GossipTable, regions: Sequence[RegionInput], step: Step) -> list[RegionUpdate]:
         """See `Tracker.update`."""

@@ -1,7 +1,7 @@
-"""Copies of the particles of other agents: the copies after a round, and their merge with received particles.
+"""Copies of the particles of other agents: the copies after a round, and their merge with received particles or components.
 
 Rules. A received particle replaces a copy with the same id. Copies remain only with mass, inside the arena and within the horizon.
-Compiled twins: agents/compiled/merge_kernels.py.
+Compiled twin of `remote_copies`: agents/compiled/copy_kernels.py.
 """
 
 import math
@@ -10,7 +10,7 @@ import numpy as np
 
 from agents.tracking import claims
 from agents.tracking.claims import Claim
-from agents.tracking.particles import Particles, canonical, join, select
+from agents.tracking.particles import Particles, T, canonical, join, select
 from agents.tracking.phd import predict
 from agents.tracking.step import Step
 from protocol import geometry
@@ -31,6 +31,6 @@ def remote_copies(near: Particles, density: Particles, polygon: np.ndarray, clai
     return select(copies, copies.weights > 0.0)
 
 
-def merge(received: Particles, counts: np.ndarray, copies: Particles, free: np.ndarray) -> Particles:
-    """The `counts` received particles and the `free` copies in canonical order; a received particle replaces a copy with the same id."""
-    return canonical(join([select(received, counts), select(copies, free)]))
+def merge(received: T, kept: np.ndarray, copies: T, free: np.ndarray) -> T:
+    """The `kept` received rows and the `free` copies in canonical order; a received row replaces a copy with the same id."""
+    return canonical(join([select(received, kept), select(copies, free)]))

@@ -188,8 +188,6 @@ def test_copies_after_a_round_and_what_counts_of_them(seed: int, count: int, num
     for border in ("cross", "reflect"):
         for polygon in (cell.polygon, EMPTY):
             assert_same("remote_copies", near, mixed, polygon, claim, horizon, step(border=border))
-    assert_same("merge", mixed, rng.random(len(mixed.ids)) < 0.8, near, rng.random(number) < 0.3)
-    assert_same("merge", NO_PARTICLES, np.empty(0, dtype=bool), near, np.zeros(number, dtype=bool))
 
 
 @given(seeds, st.integers(0, 300), st.sampled_from(["hashes", "few", "numbers", "ends"]))
@@ -381,7 +379,6 @@ def test_nothing_at_all() -> None:
         region = RegionInput("s1", 0, SENSOR_CLASSES["A"], (0.0, 0.0, 0.0), polygon, make_claim((), np.empty((0, 3))))
         assert_same("update_regions", nobody, NO_PARTICLES, NO_PARTICLES, [region], step())
     assert_same("update_regions", nobody, NO_PARTICLES, NO_PARTICLES, [], step())
-    assert_same("merge", NO_PARTICLES, np.empty(0, dtype=bool), NO_PARTICLES, np.empty(0, dtype=bool))
 
 
 @given(seeds, st.integers(0, 90))

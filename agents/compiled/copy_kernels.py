@@ -1,4 +1,4 @@
-"""Compiled merging: the copies after a round, and their merge with received particles; twins of agents/tracking/merge.py.
+"""Compiled copies of a round; the twin of `remote_copies` of agents/tracking/merge.py.
 
 Rules as in agents/compiled/particle_kernels.py.
 """
@@ -12,7 +12,7 @@ from agents.compiled import run_columns
 from agents.compiled.cache import cached
 from agents.compiled.cell_kernels import apart, around
 from agents.compiled.claim_kernels import owned
-from agents.compiled.particle_kernels import blank, motion_at, move_one, sort_by_id
+from agents.compiled.particle_kernels import blank, motion_at, move_one
 
 _Particles = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 
@@ -77,34 +77,3 @@ def remote_copies(
             found_weights[count], found_ids[count], found_labels[count] = moved_weights[k], ids[rows[k]], labels[rows[k]]
             count += 1
     return found[:count], found_weights[:count], found_ids[:count], found_labels[:count]
-
-
-@cached
-def merge(received: tuple, counts: np.ndarray, copies: tuple, free: np.ndarray) -> _Particles:
-    """Twin of `merge.merge`: states, weights, ids and labels in canonical order."""
-    received_states, received_weights, received_ids, received_labels = received
-    states, weights, ids, labels = copies
-    number = len(received_ids)
-    rows, chosen_ids, count = np.empty(number + len(ids), np.int64), np.empty(number + len(ids), np.uint64), 0
-    for n in range(number):
-        rows[count], chosen_ids[count] = n, received_ids[n]
-        count += counts[n]
-    for n in range(len(ids)):
-        rows[count], chosen_ids[count] = number + n, ids[n]
-        count += free[n]
-    chosen_ids = chosen_ids[:count]
-    order, known = sort_by_id(chosen_ids, np.arange(count)), 0
-    merged, merged_weights, merged_ids, merged_labels = blank(count)
-    for rank in range(count):
-        k = order[rank]
-        if rank > 0 and chosen_ids[k] == chosen_ids[order[rank - 1]]:
-            continue
-        n = rows[k]
-        source, weight = (received_states, received_weights[n]) if n < number else (states, weights[n - number])
-        at = n if n < number else n - number
-        for axis in range(4):
-            merged[known, axis] = source[at, axis]
-        merged_weights[known], merged_ids[known] = weight, chosen_ids[k]
-        merged_labels[known] = received_labels[at] if n < number else labels[at]
-        known += 1
-    return merged[:known], merged_weights[:known], merged_ids[:known], merged_labels[:known]
