@@ -165,7 +165,10 @@ def test_a_run_whose_reader_leaves_goes_on_to_its_end(folder: Path) -> None:
 
 @pytest.mark.live
 @pytest.mark.slow
-@pytest.mark.parametrize(("number", "code"), [(signal.SIGHUP, 129), (signal.SIGINT, 130)], ids=["HUP", "Ctrl-C"])
+@pytest.mark.parametrize(
+    ("number", "code"),
+    [pytest.param(signal.SIGHUP, 129, id="HUP", marks=pytest.mark.nightly), pytest.param(signal.SIGINT, 130, id="Ctrl-C")],
+)
 def test_a_signal_that_takes_the_reader_along_keeps_its_exit_code_and_the_result(number: int, code: int, folder: Path) -> None:
     process = running(folder, *LONG)
     assert process.stdout is not None

@@ -28,11 +28,7 @@ SLOW = [  # with QUICK and TAPPED, what continuous integration plays: every trou
 ]
 NIGHTLY = pytest.mark.nightly
 TAPPED = "anisotropic-neighbours/loss/1"
-RUNS = [
-    pytest.param(partition, seed, marks=NIGHTLY if (partition, seed) != ("power", OSPA_SEEDS[0]) else ())
-    for partition in PARTITIONS
-    for seed in OSPA_SEEDS
-]
+RUNS = [(partition, seed) for partition in PARTITIONS for seed in OSPA_SEEDS]
 OTHERS = [pytest.param(case, id=str(case), marks=() if str(case) in SLOW else NIGHTLY) for case in CASES if str(case) not in QUICK]
 KINDS = [pytest.param(case, id=str(case), marks=() if str(case) == TAPPED else NIGHTLY) for case in CASES if case.seed == 1]
 
@@ -49,13 +45,14 @@ def test_all_runs_are_those_of_the_golden_record(case: Case) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("partition, seed", RUNS)
 def test_steady_ospa_is_that_of_the_golden_record(partition: str, seed: int) -> None:
     assert steady_ospa((partition, seed)) == read_ospa()[partition, seed]
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("interest", INTERESTS)
+@pytest.mark.parametrize("interest", [INTERESTS[0], *(pytest.param(interest, marks=NIGHTLY) for interest in INTERESTS[1:])])
 def test_a_bus_that_delivers_one_by_one_gives_the_same_record(interest: str) -> None:
     case = SHORT._replace(interest=interest)
     assert difference(read(case), play(case, batches=False)) == ""
@@ -75,6 +72,7 @@ def test_plain_arithmetic_gives_the_same_record() -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.nightly
 def test_the_order_of_hashes_does_not_matter() -> None:
     environment = {**os.environ, "PYTHONHASHSEED": "4711", "PYTHONPATH": str(ROOT)}
     command = [sys.executable, "-m", "tests.golden.make", "--check", str(SHORT)]

@@ -152,6 +152,7 @@ def test_under_certificates_the_operator_halts_and_an_agent_does_not(covey: Cove
 
 
 @pytest.mark.slow
+@pytest.mark.nightly
 def test_under_certificates_bodies_say_where_they_are_and_keep_away_from_a_wreck(covey: Covey) -> None:
     """Three robots in a small arena over TLS; the agent of s3 is killed, and then its body. s1 forges a pose of s2, which nobody hears."""
     assert covey.run("keys", "s1", "s2", "s3", "monitor", "operator", "--into", "ours")[0] == 0

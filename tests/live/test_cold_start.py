@@ -82,6 +82,7 @@ def end_at(covey: Covey, moment: float, loop: int, number: int) -> float:
 
 
 @pytest.mark.slow
+@pytest.mark.nightly
 def test_a_zygote_that_takes_longer_than_the_start_line_gives_a_complete_swarm(covey: Covey) -> None:
     (covey.folder / "sitecustomize.py").write_text(SLOW)
     variables = {"PYTHONPATH": f"{covey.folder}:{ROOT}"}

@@ -98,7 +98,7 @@ def test_a_stopped_agent_is_replaced_and_slows_nobody_and_changes_nothing_when_i
 def test_an_agent_of_200_ms_a_round_is_skipped_by_nobody(covey: Covey) -> None:
     (covey.folder / "dawdle.py").write_text(SLOW.format(seconds=0.2))
     covey.start("up", "ledger.toml", "--rate", "1", "--seconds", "1000", "--record", "--control", "dawdle:Slow")
-    covey.wait(lambda data: data["swarm"]["tick"] >= 40)
+    covey.wait(lambda data: data["swarm"]["tick"] >= 24)
     assert covey.run("down")[0] == 0
     journal = Journal(covey)
     assert journal.tokens(Gone, "s2") == []

@@ -90,7 +90,7 @@ def test_who_filters_with_other_settings_is_refused_and_named_to_the_user(covey:
     assert (covey.runs / "latest" / "logs" / "s1.jsonl").read_text().count(warned) == 1
 
 
-@pytest.mark.parametrize("interest", ["all", "neighbours"])
+@pytest.mark.parametrize("interest", [pytest.param("all", marks=pytest.mark.nightly), "neighbours"])
 def test_no_agent_process_is_given_a_word_of_the_worlds(covey: Covey, interest: str) -> None:
     """Neither its files nor its command line nor its environment hold the seed of the world or how fast targets are."""
     secrets = ("987654321", "1.73205")

@@ -45,7 +45,9 @@ def poses(simulation: Simulation) -> dict[str, tuple[float, ...]]:
 
 
 @pytest.mark.parametrize("clock", ["lockstep", "realtime"])
-@pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.slow), pytest.param(3, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "seed", [1, pytest.param(2, marks=pytest.mark.slow), pytest.param(3, marks=[pytest.mark.slow, pytest.mark.nightly])]
+)
 def test_bodies_of_their_own_walk_the_way_of_one_world_to_the_last_bit(clock: str, seed: int) -> None:
     together, alone = (swarm(host, clock, **{"run.seed": seed}).run() for host in ("world", "own"))
     assert alone.transcript == together.transcript

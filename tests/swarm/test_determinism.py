@@ -47,7 +47,9 @@ def test_taking_what_comes_in_an_instant_together_changes_nothing(interest: str)
     assert alone == together
 
 
-@pytest.mark.parametrize("backend", [pytest.param(PLAIN, marks=pytest.mark.slow), compiled()], ids=["plain", "compiled"])
+@pytest.mark.parametrize(
+    "backend", [pytest.param(PLAIN, marks=[pytest.mark.slow, pytest.mark.nightly]), compiled()], ids=["plain", "compiled"]
+)
 def test_what_all_work_out_together_changes_nothing(backend: Backend, monkeypatch: pytest.MonkeyPatch) -> None:
     """A round of all who hear the same in one call, and everybody by himself."""
     calls = []

@@ -17,24 +17,25 @@ from tests.swarm.mutants import MUTANTS, Mutant, no_dedupe_by_id
 KEPT = [int(line.split()[0]) for line in (Path(__file__).parent / "seeds.txt").read_text().splitlines() if not line.startswith("#")]
 
 
-def fast(number: int, seeds: Sequence[int]) -> pytest.MarkDecorator:
-    """The test takes these seeds, and is slow for all but the first few."""
-    slow = [pytest.param(seed, marks=pytest.mark.slow) for seed in seeds[number:]]
-    return pytest.mark.parametrize("seed", [*seeds[:number], *slow])
+def with_seeds(seeds: Sequence[int], fast: int, slow: int) -> pytest.MarkDecorator:
+    """The test takes these seeds. The first few are fast, the next few slow, and the others nightly."""
+    rare = [pytest.mark.slow, pytest.mark.nightly]
+    marks = [rare[: (place >= fast) + (place >= fast + slow)] for place in range(len(seeds))]
+    return pytest.mark.parametrize("seed", [pytest.param(seed, marks=mark) for seed, mark in zip(seeds, marks)])
 
 
-@fast(1, KEPT)
+@with_seeds(KEPT, fast=1, slow=len(KEPT))
 def test_what_once_broke_holds(seed: int) -> None:
     assert play(draw(seed)) is None
 
 
-@fast(2, range(1, 13))
+@with_seeds(range(1, 13), fast=2, slow=4)
 def test_the_first_dozen_seeds_hold(seed: int) -> None:
     assert play(draw(seed)) is None
 
 
 @pytest.mark.parametrize("profile", PROFILES)
-@fast(1, range(1, 5))
+@with_seeds(range(1, 5), fast=1, slow=1)
 def test_the_first_seeds_of_slow_and_bad_networks_hold(profile: str, seed: int) -> None:
     assert play(draw(seed, profile)) is None
 

@@ -101,6 +101,7 @@ def test_as_many_targets_are_reported_as_there_are(eye: str, clutter: float) -> 
 
 
 @pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.timeout(600)
 def test_no_clutter_is_no_worse_than_hardly_any() -> None:
     assert ospa("N1", clutter=0.0) <= ospa("N1", clutter=1e-9) * (1.0 + 1e-9)

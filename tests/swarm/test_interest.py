@@ -171,6 +171,7 @@ def test_mass_is_kept_when_agents_die() -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.nightly
 def test_with_loss_the_mass_stays() -> None:
     faults = (FaultSettings(at=2.0, verb="loss", value=0.2),)
     seen = watch(ledger(*faults, agents=24, side=120.0, run__seconds=15.0, timing__interest="neighbours"))

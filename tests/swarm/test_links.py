@@ -137,7 +137,7 @@ def test_a_partition_by_name_leaves_the_world_within_reach() -> None:
     [
         ("both", 6.0, "lockstep", 3.0, 0.99),
         pytest.param("both", 6.0, "realtime", 3.0, 0.99, marks=pytest.mark.nightly),
-        ("both", 15.0, "realtime", 3.0, 0.99),  # longer than anybody's beacons are remembered
+        pytest.param("both", 15.0, "realtime", 3.0, 0.99, marks=pytest.mark.nightly),  # longer than anybody's beacons are remembered
         ("one-way", 6.0, "realtime", 5.0, 0.99),
         ("bridge", 6.0, "lockstep", 3.0, 0.97),
     ],
