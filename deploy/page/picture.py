@@ -23,6 +23,7 @@ from protocol.node import Alive, Event, Gone, Received, Rejected
 from protocol.observer_messages import Estimate, Truth
 from protocol.sensing import SensorModel, measurement_of
 from protocol.settings import BadSetting, sensor_of
+from world.presence import Presence
 
 TRAIL = 12.0  # s of the world that trails reach back, and `KEPT_TICKS` at least
 MOST_HAPPENINGS = 2000
@@ -123,6 +124,7 @@ class Picture:
         self.roster_version = 0  # grows when an agent or its sensor becomes known
         self.version = 0  # grows with everything that is heard
         self.paused: frozenset[str] = frozenset()  # as the supervisor says
+        self._presence = Presence(scenario.members)
         self._strangers: dict[str, None] = {}  # the agents that are not in the roster and have no token, the earliest first
         self._numbered = 0
         self._keeps_no_diary = False
@@ -181,6 +183,7 @@ class Picture:
         for known in self.agents.values():
             known.forget()
             known.alive, known.incarnation = False, UNKNOWN
+        self._presence = Presence(self.scenario.members)
         self.version += 1
 
     def assume(self, truth: Truth) -> None:
@@ -285,6 +288,7 @@ class Picture:
 
     def _appear(self, name: str, incarnation: int) -> None:
         known = self._known(name)
+        self._presence.appear(name, incarnation)
         if known.alive and incarnation != known.incarnation:
             self.note("twin", name, f"two processes are called {name}; the older one stops itself")
         if incarnation < known.incarnation or known.alive:
@@ -298,10 +302,17 @@ class Picture:
 
     def _vanish(self, name: str, incarnation: int) -> None:
         known = self._known(name)
-        if known.alive and known.incarnation in (incarnation, UNKNOWN):
-            known.alive = False
-            self._settle()
-            self._limit_strangers(name)
+        self._presence.vanish(name, incarnation)
+        older = self._presence.live(name)
+        if not known.alive or known.incarnation not in (incarnation, UNKNOWN):
+            return
+        if older is not None:  # a process of this name that lives on
+            known.forget()
+            known.incarnation = older
+            return
+        known.alive = False
+        self._settle()
+        self._limit_strangers(name)
 
     def _reject(self, event: Rejected) -> None:
         known = self.agents.get(event.sender)

@@ -29,6 +29,7 @@ from protocol.observer_messages import Estimate, Truth
 from protocol.session_watchdog import ListenerWatchdog
 from protocol.settings_digest import differing_settings
 from world.newest_tick import NewestTick
+from world.presence import Presence
 from world.score import errors
 from world.witness import Witness
 
@@ -96,7 +97,7 @@ class Scorer(Node):
         self._ahead = NewestTick(LAG_SECONDS[scenario.run.clock])
         self._fresh = max(agent_config(scenario).ticks_of_silence, 2 * scenario.timing.estimate_every)  # ticks
         self._names = dict.fromkeys(scenario.members)  # the agents that are scored, in team order
-        self._alive: dict[str, int] = {}
+        self._presence = Presence(scenario.members)
         self._gone_at: dict[str, tuple[float, int]] = {}  # when an agent was lost last, s, and its incarnation then
         self._truths: dict[int, Truth] = {}
         self._estimates: dict[int, dict[str, Estimate]] = {}
@@ -137,15 +138,13 @@ class Scorer(Node):
                 if batch.kind not in (Truth, Estimate):
                     return  # nothing that could complete a tick
             case Alive(role="agent") if self._admits(event.name):
-                if self._alive.get(event.name, event.incarnation) != event.incarnation:
-                    self.on_twin(event.name, self._alive[event.name], event.incarnation)
                 self._gain(event.name, event.incarnation)
                 if event.name not in self._names:
                     self._names = dict.fromkeys(sorted([*self._names, event.name], key=order))
             case Alive(role="body") if event.name in self._names:
                 self.greeted.add(self._bodies.get(event.name, event.name))
-            case Gone(role="agent") if self._alive.get(event.name) == event.incarnation:
-                self._lose(event.name, now)
+            case Gone(role="agent") if self._presence.vanish(event.name, event.incarnation):
+                self._lose(event.name, event.incarnation, now)
             case Rejected():
                 self._tally.rejected += 1
         self._score_what_is_complete(now)
@@ -202,8 +201,11 @@ class Scorer(Node):
             published = gossip.weight * len(gossip.ids) + math.fsum(gossip.components["weight"].tolist())
             self._tally.residual = max(self._tally.residual, abs(estimate.mass - published))
 
-    def _lose(self, name: str, now: float) -> None:
-        incarnation = self._alive.pop(name)
+    def _lose(self, name: str, incarnation: int, now: float) -> None:
+        """The incarnation that counted has gone. Where an older process of this name lives, that one counts again."""
+        if self._presence.live(name) is not None:
+            self._latest.pop(name, None)  # else the words of the older one would count as old
+            return
         self.tick_rate.forget(name)
         if self._finished or self.truth is None:
             return
@@ -216,9 +218,11 @@ class Scorer(Node):
         return self._latest[name].cell if name in self._latest else NO_POINTS
 
     def _gain(self, name: str, incarnation: int) -> None:
-        is_new = name not in self._alive
-        self._alive[name] = max(incarnation, self._alive.get(name, 0))
-        if is_new and name in self._gone_at and self.truth is not None:
+        known = self._presence.live(name)
+        self._presence.appear(name, incarnation)
+        if known not in (None, incarnation):
+            self.on_twin(name, known, incarnation)
+        if known is None and name in self._gone_at and self.truth is not None:
             lost_at, before = self._gone_at[name]
             same = before == incarnation
             self._chronicle.regain(name, self.truth.tick, same=same)
@@ -254,7 +258,7 @@ class Scorer(Node):
         said = self._estimates.get(truth.tick, {})
         tick, place = self._checked
         place = place if tick == truth.tick else 0
-        while place < len(truth.alive) and (truth.alive[place] in said or truth.alive[place] not in self._alive):
+        while place < len(truth.alive) and (truth.alive[place] in said or self._presence.live(truth.alive[place]) is None):
             place += 1
         self._checked = truth.tick, place
         return place == len(truth.alive)
@@ -269,7 +273,7 @@ class Scorer(Node):
                 self._transcript.update(said[name].targets_bytes + said[name].labels_bytes)
         self._count_until(truth.tick)
         counted = [self._counting[name] for name in self._names if name in self._counting]
-        counted = [estimate for estimate in counted if self._alive.get(estimate.sender) == estimate.incarnation]
+        counted = [estimate for estimate in counted if self._presence.live(estimate.sender) == estimate.incarnation]
         counted = [estimate for estimate in counted if estimate.tick >= truth.tick - max(self._fresh, 2 * estimate.pace)]
         dt = self._scenario.run.dt
         targets = np.concatenate([NO_POINTS, *[estimate.targets_at(truth.tick, dt) for estimate in counted]])
@@ -333,7 +337,7 @@ class Scorer(Node):
         for name in names:
             self.deaths.paused.add(name)
             self.tick_rate.excuse(name)
-            if name in self._alive and self.truth is not None and not self._finished:
+            if self._presence.live(name) is not None and self.truth is not None and not self._finished:
                 self._chronicle.lose(name, "is paused", self.truth.tick, self.truth.time)
 
     def _end_pause(self, verb: str, names: list[str], now: float) -> None:
@@ -343,7 +347,7 @@ class Scorer(Node):
             self.deaths.paused.discard(name)
             if verb == "resume":
                 self._chronicle.resume(name)
-            if was_paused and verb != "resume" and name not in self._alive and self.truth is not None and not self._finished:
+            if was_paused and verb != "resume" and self._presence.live(name) is None and self.truth is not None and not self._finished:
                 self.deaths.lose(name, self.truth.tick, self.truth.time, now, self._last_cell(name))
 
     def is_up_to_date(self, *, whole: bool = False) -> bool:
@@ -352,7 +356,7 @@ class Scorer(Node):
 
     def alive(self) -> dict[str, int]:
         """Live agents and their incarnations, by their tokens, in team order."""
-        return {name: self._alive[name] for name in self._names if name in self._alive}
+        return {name: live for name in self._names if (live := self._presence.live(name)) is not None}
 
     def status(self, now: float) -> Status:
         """The newest score and what is known of each agent at a time of the driver's clock, s."""
@@ -374,14 +378,15 @@ class Scorer(Node):
             agents=[self._agent_status(name) for name in self._names],
             arena=(self._scenario.arena.width, self._scenario.arena.height),
             places=_pairs([self.truth.targets] if self.truth else []),
-            estimates=_pairs([self._latest[name].targets for name in self._alive if name in self._latest]),
+            estimates=_pairs([self._latest[name].targets for name in self.alive() if name in self._latest]),
         )
 
     def _agent_status(self, name: str) -> AgentStatus:
+        live = self._presence.live(name)
         status = AgentStatus(
             name=name,
-            alive=name in self._alive,
-            incarnation=self._alive.get(name, 0),
+            alive=live is not None,
+            incarnation=live or 0,
             left_at=self._gone_at[name][0] if name in self._gone_at else None,
         )
         status.paused = name in self.deaths.paused

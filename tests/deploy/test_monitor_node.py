@@ -212,6 +212,21 @@ def test_the_loss_of_an_old_incarnation_is_no_loss(scenario: Scenario) -> None:
     assert scorer.result(1.0).kills == ()
 
 
+def test_when_the_younger_of_two_processes_of_a_name_ends_the_older_one_counts_again(scenario: Scenario) -> None:
+    scorer = started(scenario)
+    scorer.handle(truth(0), 0.0)
+    scorer.handle(Alive("agent", "a", 2), 0.0)
+    younger = msgspec.structs.replace(estimate("a", 0, LEFT).batch.messages[0], incarnation=2)
+    scorer.handle(received(younger, payloads=[b""]), 0.0)
+    scorer.handle(estimate("b", 0, RIGHT), 0.0)
+    scorer.handle(Gone("agent", "a", 2), 0.5)
+    scorer.handle(truth(1), 1.0)
+    scorer.handle(estimate("a", 1, LEFT), 1.0)
+    scorer.handle(estimate("b", 1, RIGHT), 1.0)
+    assert scorer.alive() == {"a": 1, "b": 1}
+    assert (scorer.result(1.0).kills, scorer.scores[-1].tick, scorer.scores[-1].hole) == ((), 1, 0.0)
+
+
 def test_the_mass_residual_compares_what_an_agent_says_with_the_particles_it_publishes(scenario: Scenario) -> None:
     scorer = started(scenario)
     scorer.handle(estimate("a", 4, LEFT, mass=1.0), 0.0)

@@ -91,6 +91,16 @@ def test_a_token_of_an_old_incarnation_that_goes_changes_nothing() -> None:
     assert kinds(picture) == [("lost", "s1"), ("back", "s1")]
 
 
+def test_when_the_younger_of_two_processes_of_a_name_ends_the_older_one_is_drawn_again() -> None:
+    tokens = Alive("agent", "s1", 1), Alive("agent", "s1", 2)
+    picture = shown(*tokens, truth(8), gossip(8, 2), Gone("agent", "s1", 2), gossip(9, 1))
+    known = picture.agents["s1"]
+    assert known.alive and known.gossip is not None and known.gossip.incarnation == 1
+    assert ("lost", "s1") not in kinds(picture)
+    picture.see(Gone("agent", "s1", 1), 0.0)
+    assert not known.alive
+
+
 def test_an_agent_is_silent_when_its_peers_would_give_it_up_and_heard_again_with_its_next_word() -> None:
     patience = silent_after(scenario())
     assert patience == 4
