@@ -13,6 +13,7 @@ from deploy.storage.kept_runs import KeptRun, age_of, kept_runs, removable, remo
 from deploy.storage.run_directory import RunDirectory, runs_folder
 from protocol.settings import BadSetting
 
+STYLES = {"running": "green", "interrupted": "yellow", "failed": "red"}
 PLAIN_WIDTH = 160  # columns where there is no terminal
 
 
@@ -30,7 +31,7 @@ def runs(as_json: bool) -> int:
     for head in ("name", "scenario", "seed", "when", "state", "OSPA, m", "recording"):
         table.add_column(head, justify="right" if head in ("seed", "OSPA, m", "recording") else "left", overflow="fold")
     for kept in found:
-        table.add_row(*_cells(kept), style="green" if kept.state == "running" else "yellow" if kept.state == "interrupted" else "")
+        table.add_row(*_cells(kept), style=STYLES.get(kept.state, ""))
     console.print(table)
     return 0
 

@@ -125,7 +125,7 @@ class Supervisor:
             start = asyncio.create_task(self._start.start_all(self._tell))
             return await self._watch(driver, monitor, start)
         except BadSetting:
-            if self.scorer.truth is not None:  # what was scored before is kept
+            if start is not None:  # what has begun has a result, of what was scored before
                 self._make_result(EXIT_BAD_INPUT)
             raise
         finally:
@@ -179,10 +179,9 @@ class Supervisor:
 
     def _end_without_world(self) -> None:
         """End a run whose world is dead, that nobody attends and that nobody has repaired."""
-        if self._attended or self._still_since is None or time.monotonic() < self._still_since + WORLD_SECONDS:
+        if self._attended or not self._goes_on or self._still_since is None or time.monotonic() < self._still_since + WORLD_SECONDS:
             return
-        if self._over is not None and not self._over.done():
-            self._tell(f"the world has been dead for {WORLD_SECONDS:.0f} s and nobody has restarted it: the run ends")
+        self._tell(f"the world has been dead for {WORLD_SECONDS:.0f} s and nobody has restarted it: the run ends")
         self._end(EXIT_CRASHED)
 
     def _status(self) -> Status:
@@ -240,6 +239,10 @@ class Supervisor:
             self._kill_all()
         self._end(code)
 
+    @property
+    def _goes_on(self) -> bool:
+        return self._over is not None and not self._over.done()
+
     def _end(self, code: int) -> None:
         if self._over is not None and not self._over.done():
             self._over.set_result(code)
@@ -280,7 +283,7 @@ class Supervisor:
             self.crashed.append(child.name)
             words += f": {child.last_log_line()}"
         is_over = was_last and any(other.returncode == 0 for other in rest)  # the other bodies have left at the last tick
-        if was_last and not is_over:
+        if was_last and not is_over and self._goes_on:
             self._still_since = time.monotonic()
             otherwise = "Ctrl-C ends the run" if self._attended else f"after {WORLD_SECONDS:.0f} s without it the run ends"
             words += f"; the swarm stands still until `covey restart {child.name} --run {self.directory.name}`, {otherwise}"
@@ -290,11 +293,8 @@ class Supervisor:
 
     def _others_of_the_world(self, child: Child) -> list[Child]:
         """The other bodies that have not failed, of a body; none where one world has all bodies."""
-        return [
-            other
-            for other in self.children.values()
-            if child.body_of and other.body_of and other is not child and other.returncode != EXIT_BAD_INPUT
-        ]
+        bodies = [other for other in self.children.values() if child.body_of and other.body_of]
+        return [other for other in bodies if other is not child and other.returncode != EXIT_BAD_INPUT]
 
     def _fail(self, error: Exception) -> None:
         if self._over is not None and not self._over.done():

@@ -32,8 +32,8 @@ class KeptRun(NamedTuple):
     scenario: str
     seed: int | None
     began: float  # Unix time, s
-    state: str  # running, ended, interrupted
-    ospa: float | None  # steady, m; None: there is no result
+    state: str  # running, ended, failed, interrupted
+    ospa: float | None  # steady, m; None: there is no result, or none of any tick
     recording_bytes: int
     simulated: bool
 
@@ -120,10 +120,9 @@ def _look(directory: RunDirectory) -> KeptRun:
     """What there is to say of a run; raises FileNotFoundError where something that was there has gone."""
     scenario = _run_section(directory)
     result = _result(directory)
-    ospa = result.get("steady_ospa")
-    state = "running" if directory.is_running() else "interrupted"
-    if state == "interrupted" and result.get("exit_code", 0) not in INTERRUPTED and result:
-        state = "ended"
+    ospa = result.get("steady_ospa") if result.get("ticks") != 0 else None
+    code = result.get("exit_code", 0) if result else INTERRUPTED[0]
+    state = "running" if directory.is_running() else "interrupted" if code in INTERRUPTED else "failed" if code else "ended"
     return KeptRun(
         name=directory.name,
         scenario=str(scenario.get("scenario", "")),

@@ -176,18 +176,26 @@ def test_the_list_says_what_became_of_each_run(capsys: pytest.CaptureFixture[str
     play("ended", seed=1, recorded=True, age=30.0)
     play("killed", seed=2, ended=False, age=20.0)
     play("stopped", seed=3, code=130, age=10.0)
+    play("refused", seed=3, code=2, age=5.0)
     directory, lock = new_run_directory("going", "quick")
     directory.write_config(resolve("quick", {"run.seed": 4}), simulated=True)
     assert runs(as_json=True) == 0
     rows = {row["name"]: row for row in json.loads(capsys.readouterr().out)}
-    assert list(rows) == ["going", "stopped", "killed", "ended"]
-    assert [rows[name]["state"] for name in rows] == ["running", "interrupted", "interrupted", "ended"]
+    assert list(rows) == ["going", "refused", "stopped", "killed", "ended"]
+    assert [rows[name]["state"] for name in rows] == ["running", "failed", "interrupted", "interrupted", "ended"]
     assert (rows["ended"]["scenario"], rows["ended"]["seed"], rows["ended"]["ospa"]) == ("quick", 1, 1.5)
     assert (rows["ended"]["recording_bytes"], rows["killed"]["recording_bytes"]) == (1_500_000, 0)
     assert runs(as_json=False) == 0
     table = capsys.readouterr().out
     assert "quick (simulated)" in table and "1.50" in table and "1.5 MB" in table
     os.close(lock)
+
+
+def test_a_run_that_failed_before_its_first_tick_is_listed_without_a_score() -> None:
+    name = play("refused", code=2)
+    result = RunDirectory(name).result
+    result.write_text(result.read_text().replace("{", '{"ticks": 0, '))
+    assert [(kept.state, kept.ospa) for kept in kept_runs()] == [("failed", None)]
 
 
 def test_a_running_simulation_is_no_swarm_that_could_be_asked() -> None:

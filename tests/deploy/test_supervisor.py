@@ -2,6 +2,7 @@
 
 import asyncio
 import errno
+import json
 import signal
 from pathlib import Path
 
@@ -109,6 +110,15 @@ def test_a_run_of_bodies_ends_with_the_last_of_them(
     assert ("stands still until `covey restart s2.body --run one`" in capsys.readouterr().out) == (end == 1)
 
 
+def test_a_run_whose_last_body_refuses_its_input_ends_and_waits_for_no_restart(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(BadSetting, match=r"s2\.body ended with exit code 2"):
+        let_run(made(tmp_path, monkeypatch, "own", attended=False), {"s1.body": 2, "s2.body": 2})
+    told = capsys.readouterr().out
+    assert "s2.body died" in told and "stands still" not in told
+
+
 def fail(*_: object) -> None:
     raise OSError(errno.EAGAIN, "Resource temporarily unavailable")
 
@@ -177,11 +187,15 @@ def test_a_fault_that_too_few_are_left_for_is_told_once_and_the_run_goes_on(
     assert told.count("a fault of the scenario could not be carried out: faults[0].who = '2': only 1 agent qualifies") == 1
 
 
-def test_a_run_whose_first_process_cannot_be_started_ends_with_the_reason(supervisor: Supervisor, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_run_whose_first_process_cannot_be_started_ends_with_the_reason_and_a_result(
+    supervisor: Supervisor, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(Child, "_fork", fail)
     name = next(iter(supervisor.children))
     with pytest.raises(BadSetting, match=f"{name} could not be started: Resource temporarily unavailable"):
         asyncio.run(supervisor.run())
+    result = json.loads(supervisor.directory.result.read_text())
+    assert (result["exit_code"], result["ticks"], supervisor.directory.scores.exists()) == (2, 0, True)
 
 
 def test_a_world_runs_on_when_the_truth_for_the_next_one_cannot_be_written(supervisor: Supervisor, monkeypatch: pytest.MonkeyPatch) -> None:
