@@ -26,6 +26,7 @@ from protocol.observer_messages import Truth
 from protocol.settings import BadSetting
 from protocol.virtual import Link, VirtualBus
 from world.body import Body
+from world.platform import check_simulated
 from world.targets import Targets
 from world.world import World
 
@@ -79,6 +80,8 @@ class Simulation:
         scores: bool = True,
     ) -> None:
         check_faults(scenario.faults, list(scenario.members), world_names(scenario))
+        if bodies_of(scenario):
+            check_simulated(scenario.bodies)
         for number, fault in enumerate(scenario.faults):
             for name in unsimulated(scenario).intersection(map(str.strip, fault.who.split(","))):
                 raise BadSetting(f"faults[{number}].who = {name!r}: a simulation has no such process to strike; `covey up` has")

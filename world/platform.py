@@ -30,7 +30,10 @@ RIGHT = "should be simulated or module:Class, built as Class(name, **bodies.para
 
 
 class Platform(Protocol):
-    """What carries a sensor. Calls come from the event loop of its process: each must return within some ms."""
+    """What carries a sensor. Calls come from the event loop of its process: each must return within some ms.
+
+    Where all of it is computed, and moves by its ticks alone, its class says `simulated = True`; else simulations refuse it.
+    """
 
     def read(self, tick: int) -> tuple[Pose, np.ndarray | None]:
         """The pose (x m, y m, heading rad) in the arena's frame and the detections (M, 2) of this tick, each x, y in that frame, m.
@@ -182,6 +185,13 @@ def platform_class(settings: BodySettings) -> Callable[..., Any]:
     except (ValueError, ImportError, TypeError) as error:
         raise BadSetting(f"{where}: {error}; {RIGHT}") from None
     return kind
+
+
+def check_simulated(settings: BodySettings) -> None:
+    """Raise BadSetting for a platform that does not say that it is itself a simulation: a simulated run would drive robots, unpaced."""
+    if settings.platform != SIMULATED and getattr(platform_class(settings), SIMULATED, False) is not True:
+        where = f"bodies.platform = {settings.platform!r}"
+        raise BadSetting(f'{where}: a simulation drives no robots; should be "simulated", or a class that says `simulated = True`')
 
 
 def fenced(velocity: Vector, pose: Pose, box: tuple[float, float, float, float], seconds: float) -> Vector:

@@ -23,7 +23,6 @@ from deploy.scoring.scores import write_scores
 from deploy.simulation import Simulation, compile_once
 from deploy.storage.kept_runs import link_latest, new_run_directory
 from protocol.observer_messages import Truth
-from world.platform import SIMULATED
 
 
 def simulate_here(
@@ -78,8 +77,6 @@ def _play(simulation: Simulation, scenario: Scenario, clock: Literal["lockstep",
     """The result, and what a trace holds."""
     series = Trace(simulation)
     display = Display(to_stderr=True)
-    if scenario.bodies.platform != SIMULATED:
-        display.event(f"covey: bodies.platform = {scenario.bodies.platform!r}: this simulation drives its bodies, as fast as it goes")
     for remark in fault_remarks(scenario):
         display.event(f"covey: {remark}")
     if clock == "lockstep" and (remark := faults_without_effect(scenario)):

@@ -11,6 +11,7 @@ import pytest
 from covey.examples.robots import INNER, DifferentialDrive
 from deploy.live.platform_check import check_platform
 from deploy.scenario import Scenario, resolve, world_config
+from deploy.simulation import Simulation
 from protocol.messages import Command, Gossip, Hello, Observation
 from protocol.node import Alive, Gone, Reopen, Started, Stop, Timer, received
 from protocol.settings import BadSetting, LimitSettings
@@ -347,6 +348,17 @@ class Runaway(Robot):
 
     def stop(self) -> None:
         pass
+
+
+def test_a_simulation_drives_no_platform_that_does_not_say_that_it_is_simulated() -> None:
+    robots = resolve("quick", {"bodies.host": "own", "bodies.platform": f"{HERE}:Runaway"})
+    with pytest.raises(BadSetting, match=r"^bodies\.platform = .*Runaway': a simulation drives no robots") as refused:
+        Simulation(robots)
+    assert "\n" not in str(refused.value)
+    places = {name: [5.0 * number, 5.0, 0.0] for number, name in enumerate(robots.members)}
+    example = {"bodies.platform": "covey.examples.robots:DifferentialDrive", "bodies.parameters": {"places": places}}
+    Simulation(resolve("quick", {"bodies.host": "own", **example}))
+    Simulation(resolve("quick", {"bodies.platform": f"{HERE}:Runaway"}))  # one world moves all bodies, and builds no platform
 
 
 @pytest.mark.slow

@@ -5,7 +5,7 @@
     platform = "covey.examples.robots:DifferentialDrive"
     parameters = {places = {s1 = [10.0, 10.0, 0.0], s2 = [30.0, 30.0, 0.0]}}
 
-For a robot of your own replace `_spin` by what its driver needs, and let `read` return what its odometry says.
+For a robot of your own replace `_spin` by what its driver needs, let `read` return what its odometry says, and take out `simulated`.
 """
 
 import math
@@ -20,6 +20,8 @@ INNER = 0.02  # s between two commands to the wheels
 
 class DifferentialDrive:
     """The sensor sits `offset` m ahead of the axle. `places`: x m, y m and heading rad of the sensor by name; `dt` as in the scenario."""
+
+    simulated = True  # it moves by its ticks alone, so that simulations may drive it
 
     def __init__(
         self, name: str, places: dict[str, Pose], dt: float = 0.25, offset: float = 0.2, speed: float = 2.0, turn_rate: float = 5.0
