@@ -12,6 +12,8 @@ from world.platform import Platform, build_platform
 
 SLOW = 0.02  # s that a call may take: others wait for it
 SPEED, DRIVEN = 0.2, 1.0  # m/s, s
+TURN_RATE = 1.0  # rad/s
+SKEW = 0.2  # rad that a heading may seem to turn
 STILL = 0.02  # m that a standing robot may seem to move
 
 
@@ -28,11 +30,16 @@ def check_platform(name: str, config: WorldConfig) -> Iterator[tuple[str, bool]]
         yield "read returns a pose of finite numbers, and detections (M, 2) or None", True
         trial.wait(0.5)
         yield f"it stands until it is driven (within {STILL} m)", math.dist(trial.read()[:2], start[:2]) <= STILL
-        way = trial.drive((SPEED, 0.0))
+        east, north, _ = trial.drive((SPEED, 0.0), 0.0)
+        yield f"driven east at {SPEED} m/s for {DRIVEN:g} s it moves east: {east:.2f} m, {north:+.2f} m north", _obeys(east, north)
+        rate = min(TURN_RATE, config.limits.turn_rate)
+        *_, turned = trial.drive((0.0, 0.0), rate)  # the next drive begins at another heading: the arena's north is not the robot's
         yield (
-            f"driven east at {SPEED} m/s for {DRIVEN:g} s it moves east: {way[0]:.2f} m, {way[1]:+.2f} m north",
-            (0.25 <= way[0] / (SPEED * DRIVEN) <= 1.5 and abs(way[1]) <= 0.5 * SPEED * DRIVEN),
+            f"told to turn left at {rate:g} rad/s for {DRIVEN:g} s it turns left, or not at all: {turned:+.2f} rad",
+            -SKEW <= turned <= 1.5 * rate * DRIVEN + SKEW,
         )
+        east, north, _ = trial.drive((0.0, SPEED), 0.0)
+        yield f"driven north it moves north: {north:.2f} m, {east:+.2f} m east", _obeys(north, east)
         platform.stop()
         trial.wait(0.5)
         there = trial.read()
@@ -44,6 +51,11 @@ def check_platform(name: str, config: WorldConfig) -> Iterator[tuple[str, bool]]
         yield f"no call takes longer than {1000 * SLOW:.0f} ms: the longest took {1000 * trial.longest:.1f} ms", trial.longest <= SLOW
     finally:
         platform.stop()
+
+
+def _obeys(along: float, across: float) -> bool:
+    """Whether it moved as it was driven: so many m along the velocity and across it."""
+    return 0.25 <= along / (SPEED * DRIVEN) <= 1.5 and abs(across) <= 0.5 * SPEED * DRIVEN
 
 
 class _Trial:
@@ -66,16 +78,17 @@ class _Trial:
             self.tick += 1
             self.read()
 
-    def drive(self, velocity: Vector) -> Vector:
-        """The way of a drive in m, with a command in every tick as an agent gives it."""
-        (x, y, _), begun = self.read(), time.monotonic()
+    def drive(self, velocity: Vector, turn_rate: float) -> tuple[float, float, float]:
+        """The way of a drive, m east and m north, and its turn, rad, with a command in every tick as an agent gives it."""
+        (x, y, heading), begun = self.read(), time.monotonic()
         for _ in range(max(1, round(DRIVEN / self._dt))):
             begun = time.monotonic()
-            self._platform.drive(velocity, 0.0)
+            self._platform.drive(velocity, turn_rate)
             self.longest = max(self.longest, time.monotonic() - begun)
             self.wait(self._dt)
         pose = self.read()
-        return pose[0] - x, pose[1] - y
+        turns = (pose[2] - heading + wrap for wrap in (-2.0 * math.pi, 0.0, 2.0 * math.pi))  # by one wrap: degrees stay too large
+        return pose[0] - x, pose[1] - y, min(turns, key=abs)
 
 
 def check_and_print(name: str, config: WorldConfig) -> int:
