@@ -18,6 +18,7 @@ from protocol.sensing import Pose, SensorModel, WedgeSensor
 
 _AT_REST: Pose = (0.0, 0.0, 0.0)
 _GRID = 1024  # quadrature points per axis over the square of side 2 reach
+_LEAST_SEEN = 400  # of these points with a probability above 0: fewer give D and the COD to several percent only
 
 
 class SensorFacts(NamedTuple):
@@ -31,8 +32,8 @@ class SensorFacts(NamedTuple):
 def sensor_facts(sensor: SensorModel) -> SensorFacts:
     """D in m^2 (6) and the COD in the frame of the sensor, m (14): closed form for wedges, midpoint quadrature otherwise.
 
-    Raises ValueError if the detection probability is 0 at all points of the quadrature. A pure memo: many agents carry sensors of one
-    class.
+    Raises ValueError if the detection probability is 0 at all points of the quadrature, or above 0 at fewer than `_LEAST_SEEN`.
+    A pure memo: many agents carry sensors of one class.
     """
     if isinstance(sensor, WedgeSensor):
         half, fall = sensor.angle / 2.0, sensor.far_probability / sensor.prob_detection
@@ -46,6 +47,10 @@ def sensor_facts(sensor: SensorModel) -> SensorFacts:
     detected = total(probability)
     if not detected > 0.0:
         raise ValueError(f"{type(sensor).__name__}: the detection probability is 0 everywhere within its reach of {sensor.reach} m")
+    seen = points[probability > 0.0]
+    if len(seen) < _LEAST_SEEN:
+        farthest = f"something is seen up to {np.sqrt((seen * seen).sum(axis=1)).max():.3g} m alone"
+        raise ValueError(f"{type(sensor).__name__}: a reach of {sensor.reach:g} m is too far to compute with: {farthest}")
     x, y = (total(probability * points[:, axis]) / detected for axis in (0, 1))
     return SensorFacts(detected * step * step, (x, y))
 

@@ -82,6 +82,16 @@ def test_a_sensor_that_sees_nothing_is_refused() -> None:
         sensor_facts(Blind())
 
 
+def test_a_reach_for_which_the_quadrature_is_too_coarse_is_refused() -> None:
+    cone = Cone()
+    cone.reach = 50.0 * cone.reach  # some 320 points of the quadrature lie within the cone
+    with pytest.raises(ValueError, match=r"a reach of .* m is too far to compute with: something is seen up to 5\.\d+ m alone"):
+        sensor_facts(cone)
+    cone = Cone()
+    cone.reach = 30.0 * cone.reach
+    assert sensor_facts(cone).capability == pytest.approx(math.pi * 36.0 / 3.0, rel=0.02)
+
+
 def test_cod_of_a_half_disc_lies_four_thirds_of_r_over_pi_ahead() -> None:
     assert centroid_of_detection(WedgeSensor(math.pi, 3.0, 0.5), (0.0, 0.0, 0.0)) == pytest.approx([4.0 / math.pi, 0.0])
     assert centroid_of_detection(WedgeSensor(2.0 * math.pi, 3.0, 0.5), (5.0, 6.0, 1.0)) == pytest.approx([5.0, 6.0])

@@ -11,7 +11,7 @@ from protocol.sensing import Pose
 from tests.deploy.wrong_inputs import folder, typed
 
 __all__ = ["folder"]  # a fixture
-SQUARE = np.array([[0.0, 0.0], [5.0, 0.0], [5.0, 5.0], [0.0, 5.0]])
+SQUARE = np.array([[-5.0, -5.0], [5.0, -5.0], [5.0, 5.0], [-5.0, 5.0]])
 
 
 class Camera:
@@ -159,6 +159,24 @@ class Outside(Camera):
         return 3.0 * SQUARE + np.array(pose[:2])
 
 
+class Behind(Camera):
+    """It sees half a disc ahead, and its outline is behind."""
+
+    area = 39.3
+
+    def probability(self, points: np.ndarray, pose: Pose) -> Any:
+        ahead = (points[:, 0] - pose[0]) * np.cos(pose[2]) + (points[:, 1] - pose[1]) * np.sin(pose[2])
+        return super().probability(points, pose) * (ahead > 0.0)
+
+    def footprint(self, pose: Pose) -> Any:
+        turn = np.array([[np.cos(pose[2]), np.sin(pose[2])], [-np.sin(pose[2]), np.cos(pose[2])]])
+        return (SQUARE * [0.5, 1.0] - [2.5, 0.0]) @ turn + np.array(pose[:2])
+
+
+class Everywhere(Camera):
+    reach = 2000.0
+
+
 class Yes(Camera):
     """A probability of truth values counts as 0 or 1."""
 
@@ -252,6 +270,8 @@ PLUGGED = [
     ("sensor", "Writes", "Writes.probability changed the points that it was given: should leave them as they are"),
     ("sensor", "Fixed", "Fixed.footprint at the pose (13.7, -8.2, 2.3) is not that at (0.0, 0.0, 0.0), moved and turned"),
     ("sensor", "Outside", "Outside.footprint returned a corner at 21.2 m: should lie within reach = 8"),
+    ("sensor", "Behind", "Behind.footprint is not where its probability is above 0: 0 % of the places in view lie within it"),
+    ("sensor", "Everywhere", "Everywhere: a reach of 2000 m is too far to compute with: something is seen up to "),
     ("sensor", "NoReach", "NoReach.reach = -1.0: should be a number > 0"),
     ("sensor", "Wordy", "Wordy.area = 'large': should be a number > 0"),
     ("sensor", "NoCamera", "NoCamera raised KeyError: 'no camera'"),
