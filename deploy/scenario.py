@@ -231,6 +231,17 @@ def with_deaths(scenario: Scenario) -> Scenario:
     return msgspec.structs.replace(scenario, faults=(deaths,))
 
 
+def own_classes(scenario: Scenario) -> list[str]:
+    """The user's own classes that a scenario names, each as `module:Class`."""
+    named = (
+        *(sensor.model for sensor in scenario.sensors.values()),
+        scenario.control.mode,
+        scenario.targets.motion,
+        scenario.bodies.platform,
+    )
+    return sorted({name for name in named if ":" in name})
+
+
 def unsimulated(scenario: Scenario) -> set[str]:
     """The processes of a live run that a simulation does not have, so that no fault can strike them there."""
     return {"world", *(f"{member}.body" for member in scenario.members)}

@@ -16,7 +16,7 @@ from typing import Any
 
 import msgspec
 
-from deploy.scenario import SEARCH_EXTRACTION, Scenario, find, resolve
+from deploy.scenario import SEARCH_EXTRACTION, Scenario, find, own_classes, resolve
 from deploy.scoring.error_parts import ErrorParts
 from deploy.scoring.result import Result
 from deploy.simulation import Simulation
@@ -137,9 +137,8 @@ def key_of(made_of: list[Any], scenario: Scenario) -> str:
 
 def _class_files(scenario: Scenario) -> list[Path]:
     """The source files of the user's own classes: of each the named module, and the one that the class comes from."""
-    sensors = [sensor.model for sensor in scenario.sensors.values()]
     found: set[Path] = set()
-    for name in (*sensors, scenario.control.mode, scenario.targets.motion, scenario.bodies.platform):
+    for name in own_classes(scenario):
         with suppress(ValueError, ImportError):  # a class that cannot be loaded is refused where the run builds it
             modules = {name.partition(":")[0], getattr(load_named(name), "__module__", "")}
             sources = [getattr(sys.modules.get(module), "__file__", None) for module in modules]

@@ -3,6 +3,7 @@
 import os
 from typing import Any
 
+import msgspec
 import pytest
 
 from deploy.cli.display import tick_rate_words
@@ -87,6 +88,14 @@ def test_a_machine_that_keeps_up_gets_no_advice_and_one_that_does_not_gets_a_rat
     slow = TickRateMeter(scenario(clock="realtime", rate=2.0))
     run_at(slow, 4.0, 10.0)
     assert "(50 % of the ticks come): take --rate 1 or less" in slow.at(110.0).advice
+
+
+def test_the_advice_names_a_class_of_the_users_own_which_may_be_what_is_slow() -> None:
+    given = scenario(clock="realtime", rate=2.0)
+    own = msgspec.structs.replace(given, control=msgspec.structs.replace(given.control, mode="laws:Slow"))
+    busy = TickRateMeter(own)
+    run_at(busy, 8.0, 10.0, skipped=100)
+    assert "for 6 agents at rate 2, or laws:Slow too slow (50 % of the rounds are skipped)" in busy.at(110.0).advice
 
 
 def test_the_rounds_that_a_paused_agent_skips_are_counted_and_give_no_advice() -> None:
