@@ -98,6 +98,19 @@ def check_given(config: WorldConfig) -> None:
             )
 
 
+def pose_remarks(config: WorldConfig) -> list[str]:
+    """A line for each given pose that is not read, or lies outside of the arena."""
+    if config.bodies.start != "given":
+        return ["bodies.poses: are not read; bodies.start should be 'given'"] if config.bodies.poses else []
+    remarks = []
+    for name, (x, y, _) in config.bodies.poses.items():
+        if name not in config.members:
+            remarks.append(f"bodies.poses.{name}: there is no such agent")
+        if not (0.0 <= x <= config.arena.width and 0.0 <= y <= config.arena.height):
+            remarks.append(f"bodies.poses.{name}: lies outside of the arena of {config.arena.width:g} x {config.arena.height:g} m")
+    return remarks
+
+
 class Bodies:
     """The poses of all bodies by name, in team order; a body stays where it is until a command moves it."""
 

@@ -105,17 +105,19 @@ def choose(who: str, candidates: Sequence[str], known: Sequence[str], rng: np.ra
 
 
 def _named(text: str, known: Sequence[str], where: str) -> list[str]:
-    names = [name.strip() for name in text.split(",") if name.strip()]
+    names = [name.strip() for name in text.split(",")]
+    if "" in names:
+        raise BadSetting(f"{where}who = {text!r}: {NEED_WHO}" + (", or names with a comma between two" if len(names) > 1 else ""))
     for name in names:
+        if names.count(name) > 1:
+            raise BadSetting(f"{where}who = {text!r}: names {name} twice")
         if name not in known:
             more = f" and {len(known) - MOST_NAMED} more" if len(known) > MOST_NAMED else ""
             raise BadSetting(
                 f"{where}who = {name!r}: there is no such process; known are {', '.join(known[:MOST_NAMED])}{more}, "
                 "a number such as 4, or a share such as 30%"
             )
-    if not names:
-        raise BadSetting(f"{where}who = {text!r}: {NEED_WHO}")
-    return list(dict.fromkeys(names))
+    return names
 
 
 def plain_verb(verb: str) -> str:

@@ -14,8 +14,8 @@ from protocol.settings import BadSetting
 TEAM = [f"s{number}" for number in range(1, 17)]
 
 
-def test_names_are_taken_as_they_stand_and_once() -> None:
-    assert choose("s3, s1,s3", TEAM[:2], TEAM, stream(1, "t")) == ["s3", "s1"]
+def test_names_are_taken_as_they_stand() -> None:
+    assert choose("s3, s1", TEAM[:2], TEAM, stream(1, "t")) == ["s3", "s1"]
 
 
 @pytest.mark.parametrize(("who", "number"), [("4", 4), ("0", 0), ("30%", 5), ("1%", 1), ("0%", 0), ("100%", 16), ("12.5 %", 2)])
@@ -36,6 +36,8 @@ def test_the_same_dice_choose_the_same_and_other_dice_others() -> None:
     [
         ("s99", "s99.*no such process.*s1"),
         ("", "should be a name such as s3"),
+        ("s1,,s2", "who = 's1,,s2': should be a name such as s3, .* or names with a comma between two"),
+        ("s1,s2,s1", "who = 's1,s2,s1': names s1 twice"),
         ("17", "only 16"),
         ("120%", "at most 100%"),
         ("-3", "no such process"),

@@ -55,6 +55,18 @@ def test_check_names_a_certificate_that_is_missing_here(capsys: pytest.CaptureFi
     assert "missing    network.ca = 'nokeys/ca.pem': No such file or directory; `covey keys` makes" in capsys.readouterr().out
 
 
+def test_check_says_that_seconds_which_are_no_multiple_of_dt_are_rounded(capsys: pytest.CaptureFixture[str]) -> None:
+    for seconds, dt in ((10.0, 3.0), (10.0, 0.25)):
+        scenario_file.check(resolve("quick", {"run.seconds": seconds, "run.dt": dt}))
+    said = [line.strip() for line in capsys.readouterr().out.splitlines() if "multiple" in line]
+    assert said == ["run.seconds = 10 is no multiple of run.dt: the run lasts 9 s"]
+
+
+def test_check_prints_remarks_on_given_poses(capsys: pytest.CaptureFixture[str]) -> None:
+    scenario_file.check(resolve("quick", {"bodies.poses": {"s1": [1.0, 2.0, 0.0]}}))
+    assert "bodies     bodies.poses: are not read; bodies.start should be 'given'" in capsys.readouterr().out
+
+
 def test_check_says_that_a_live_run_refuses_it(capsys: pytest.CaptureFixture[str]) -> None:
     assert scenario_file.check(scenario("oracle")) == 0 and scenario_file.check(scenario("lloyd")) == 0
     said = [line for line in capsys.readouterr().out.splitlines() if line.startswith("control")]
