@@ -86,12 +86,17 @@ class Recording:
         return self.spans[-1].end if self.spans else 0.0
 
     @property
-    def wall_seconds(self) -> float:
-        """How long the recording took, s of the wall clock; chunks that a recorder has replaced since they were found count for nothing."""
+    def wall_seconds(self) -> float | None:
+        """How long the recording took, s of the wall clock; None of a simulation, whose publish times are the world's.
+
+        Chunks that a recorder has replaced since they were found count for nothing.
+        """
         first = next(self.entries(), None)
         tails = (list(self.entries(number, number + 1)) for number in reversed(range(len(self.spans))))
         last = next((tail[-1] for tail in tails if tail), None)
-        return (last.published - first.published) / 1e9 if first is not None and last is not None else 0.0
+        if first is None or last is None:
+            return 0.0
+        return None if last.published == round(1e9 * last.time) else (last.published - first.published) / 1e9
 
     def entries(self, first: int = 0, last: int | None = None) -> Iterator[RecordedEntry]:
         """What the chunks number `first` to `last` (excluded) hold, in order; raises BadSetting when one is damaged.

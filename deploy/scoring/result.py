@@ -49,7 +49,7 @@ class Result(msgspec.Struct, frozen=True, kw_only=True):
     missing: tuple[str, ...] = ()  # those of them that were not there at the first tick
     ticks: int  # that were scored
     dt: float
-    wall_s: float
+    wall_s: float | None  # of the clock; None: the recording of a simulation does not know
     mean_ospa: float
     steady_ospa: float  # last `study.steady_share` of the run
     final_ospa: float
@@ -118,7 +118,7 @@ class Result(msgspec.Struct, frozen=True, kw_only=True):
             ("killed", f"{len(self.kills)} of {self.agents}" + (f": {names}" if names else "")),
             ("time to close the hole", hole),
             ("largest hole / overlap", f"{100.0 * self.hole_area:.2f} / {100.0 * self.overlap_area:.2f} % of the arena"),
-            ("wall time", f"{self.wall_s:.1f} s"),
+            ("wall time", "-" if self.wall_s is None else f"{self.wall_s:.1f} s"),
             *(_tick_rate_rows(self.tick_rate) if self.tick_rate is not None else []),
         ]
 

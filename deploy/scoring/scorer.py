@@ -404,7 +404,7 @@ class Scorer(Node):
             status.cell = polygon_area(estimate.cell) / self._area
         return status
 
-    def result(self, wall_seconds: float, messages: int | None = None, payload_bytes: int | None = None) -> Result:
+    def result(self, wall_seconds: float | None, messages: int | None = None, payload_bytes: int | None = None) -> Result:
         """The record of the run; `messages` and `payload_bytes` where the driver has counted them better than this node can."""
         scenario, scores = self._scenario, self.scores
         steady = steady_part(scores, scenario)
@@ -419,7 +419,7 @@ class Scorer(Node):
             missing=self.missing,
             ticks=len(scores),
             dt=scenario.run.dt,
-            wall_s=round(wall_seconds, 3),
+            wall_s=None if wall_seconds is None else round(wall_seconds, 3),
             mean_ospa=mean([score.ospa for score in scores]),
             steady_ospa=mean([score.ospa for score in steady]),
             final_ospa=last.ospa if last else 0.0,

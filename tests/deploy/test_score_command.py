@@ -8,6 +8,7 @@ import pytest
 
 from deploy.cli.recordings import score
 from deploy.recording.observers import Observers, open_recorder
+from deploy.recording.recording import Recording
 from deploy.scenario import resolve
 from deploy.simulation import Simulation
 
@@ -25,6 +26,7 @@ def test_the_score_of_a_recording_is_worked_out_anew_and_not_read_from_the_resul
     printed = json.loads(out.splitlines()[-1])
     assert (printed["steady_ospa"], printed["mean_gospa"]) == (true.steady_ospa, true.mean_gospa)
     assert "largest difference to the figures of the run itself: 3" in err
+    assert printed["wall_s"] is None  # a simulation publishes at the world's time
 
 
 def test_a_recording_without_an_end_is_said_to_have_none_whether_its_recorder_died_or_not(
@@ -36,5 +38,6 @@ def test_a_recording_without_an_end_is_said_to_have_none_whether_its_recorder_di
     simulation.run()
     recorder.flush()
     assert score(str(tmp_path / "a.mcap"), None, False) == 0
+    assert (Recording(tmp_path / "a.mcap").wall_seconds or 0.0) > 0.0  # this one was told the clock
     recorder.close()
     assert "it has no end: its recorder was killed or still writes; what it had written counts" in " ".join(capsys.readouterr().err.split())
