@@ -315,11 +315,11 @@ def _name_members(counts: dict[str, int]) -> dict[str, str]:
 def _lay_over(data: dict[str, Any], dotted: str, value: Any) -> None:
     *sections, field = dotted.split(".")
     if not sections:
-        raise BadSetting(f"--set {dotted}: should read section.key=value")
+        raise BadSetting(f"{dotted}: should be the name of a setting with its section, such as detection.clutter")
     for section in sections:
         data = data.setdefault(section, {})
         if not isinstance(data, dict):
-            raise BadSetting(f"--set {dotted}: {section} is not a section")
+            raise BadSetting(f"{dotted}: {section} is not a section")
     data[field] = value
 
 

@@ -7,13 +7,15 @@ a body, a target or a particle uses + - * / and square roots, which IEEE 754 rou
 from collections.abc import Callable
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 
-def elementwise(function: Callable[..., float], *columns: np.ndarray) -> np.ndarray:
-    """What a function of `math` gives for each element of an array of any shape, or of several of one shape; about 0.1 us an element.
+def elementwise(function: Callable[..., float], first: ArrayLike, *others: ArrayLike) -> np.ndarray:
+    """What a function of `math` gives for each element of an array (or list) of any shape, or of several of one shape; 0.1 us an element.
 
     Its errors are those of the function, as `math.exp` of 1000 raises OverflowError. Arrays of different shapes raise ValueError.
     """
+    columns = [np.asarray(column) for column in (first, *others)]
     shape = columns[0].shape
     if any(column.shape != shape for column in columns):
         raise ValueError(f"arrays of the shapes {' and '.join(str(column.shape) for column in columns)}: should be of one shape")

@@ -31,6 +31,17 @@ class BadSetting(ValueError):
     """A setting is wrong; the text names the file, the field, the value and what would be right."""
 
 
+class BadOption(BadSetting):
+    """An option of a command is wrong, or the argument of the same name in Python."""
+
+    def __init__(self, option: str, value: object, right: str) -> None:
+        super().__init__(option, value, right)
+        self.option, self.value, self.right = option, value, right
+
+    def __str__(self) -> str:
+        return f"--{self.option} {self.value}: {self.right}"
+
+
 class Section(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Base of all sections: frozen, unknown fields refused."""
 

@@ -248,8 +248,9 @@ def undocumented(source: Source) -> list[str]:
 
 
 def keyword_swallowers(source: Source) -> list[str]:
-    """No **kwargs: a function says what it takes."""
-    return [f"line {node.lineno}: **{node.args.kwarg.arg}" for node in nodes(source) if isinstance(node, Definition) and node.args.kwarg]
+    """No **kwargs: a function says what it takes. A decorator says it by `P.kwargs` of a ParamSpec."""
+    found = [node.args.kwarg for node in nodes(source) if isinstance(node, Definition) and node.args.kwarg]
+    return [f"line {one.lineno}: **{one.arg}" for one in found if not isinstance(one.annotation, ast.Attribute)]
 
 
 OFFENDERS: list[tuple[Rule, str, str]] = [

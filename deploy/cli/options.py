@@ -1,8 +1,9 @@
 """Options that all commands that run a scenario share. Every command loads this file, so it imports little."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter, Token
@@ -124,27 +125,27 @@ class RunOptions:
         files = {"ca": "ca.pem", "certificate": "{name}.pem", "key": "{name}.key"}
         return {f"network.{field}": str(self.keys.absolute() / file) if self.keys else None for field, file in files.items()}
 
-    def scenario(self, name: str, *, agents_too: bool = False) -> "Scenario":
+    def scenario(self, name: str, dotted: Mapping[str, Any] = MappingProxyType({}), *, agents_too: bool = False) -> "Scenario":
         """The resolved scenario, and remarks on a recording for people; raises BadSetting naming what is wrong.
 
-        With `agents_too` it may be an agents.toml.
+        `dotted`: settings that outweigh the options. With `agents_too` it may be an agents.toml.
         """
         from deploy.cli.errors import tell_remarks
         from deploy.scenario import recording_remarks
 
-        scenario = self.variant(name, agents_too=agents_too)
+        scenario = self.variant(name, dotted, agents_too=agents_too)
         tell_remarks(recording_remarks(scenario))
         return scenario
 
-    def variant(self, name: str, *settings: str, agents_too: bool = False) -> "Scenario":
-        """The resolved scenario with further settings such as control.mode=random; raises BadSetting naming what is wrong."""
+    def variant(self, name: str, dotted: Mapping[str, Any] = MappingProxyType({}), *, agents_too: bool = False) -> "Scenario":
+        """The resolved scenario with further settings such as {"control.mode": "random"}; raises BadSetting naming what is wrong."""
         import msgspec
 
         from deploy.cli.scenario_checks import check_scenario
-        from deploy.scenario import find, parse_set, resolve
+        from deploy.scenario import find, resolve
         from protocol.settings import BadSetting
 
-        overrides, faults = {**self.overrides(), **dict(map(parse_set, settings))}, self.faults()
+        overrides, faults = {**self.overrides(), **dotted}, self.faults()
         scenario = resolve(name, overrides, agents_too=agents_too)
         scenario = msgspec.structs.replace(scenario, faults=(*scenario.faults, *faults))
         try:
@@ -179,12 +180,12 @@ class RunOptions:
         return (*map(parse_kill, self.kill), *links)
 
     def _links(self) -> list[tuple[str, float | None]]:
-        from protocol.settings import BadSetting
+        from protocol.settings import BadOption
 
         if self.loss is not None and not 0.0 <= self.loss <= 1.0:
-            raise BadSetting(f"--loss {self.loss}: should be a share between 0 and 1")
+            raise BadOption("loss", self.loss, "should be a share between 0 and 1")
         if self.delay is not None and not 0.0 <= self.delay < 1e6:
-            raise BadSetting(f"--delay {self.delay}: should be a number of seconds from 0 to less than 1e6")
+            raise BadOption("delay", self.delay, "should be a number of seconds from 0 to less than 1e6")
         return [("drop", self.loss), ("delay", self.delay)]
 
 
@@ -196,7 +197,7 @@ def switch_or_text(kind: object, tokens: Sequence[Token]) -> bool | str:
 def parse_kill(text: str) -> "FaultSettings":
     """`30%@300` as a fault: the selected agents, and s of world time."""
     from deploy.scenario import FaultSettings
-    from protocol.settings import BadSetting
+    from protocol.settings import BadOption
 
     who, at, when = text.rpartition("@")
     try:
@@ -204,5 +205,5 @@ def parse_kill(text: str) -> "FaultSettings":
     except ValueError:
         time = -1.0
     if not at or not who or not 0.0 <= time < 1e9:
-        raise BadSetting(f"--kill {text}: should read who@when, such as 30%@300, 4@100 or s3@50 (when in s of world time)")
+        raise BadOption("kill", text, "should read who@when, such as 30%@300, 4@100 or s3@50 (when in s of world time)")
     return FaultSettings(at=time, verb="kill", who=who)

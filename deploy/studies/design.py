@@ -7,7 +7,7 @@ import msgspec
 
 from deploy.scenario import TeamSettings, parse_set, team_counts
 from deploy.studies.trials import ABLATIONS, Trial, check_method
-from protocol.settings import BadSetting
+from protocol.settings import BadOption, BadSetting
 
 
 class Design(msgspec.Struct, frozen=True, kw_only=True):
@@ -92,23 +92,23 @@ def _trial(found: Design, seed: int, targets: int, team: str, method: str) -> Tr
 
 
 def design_fields(trials: int | None, seed: int | None, teams: str | None, targets: str | None, methods: str | None) -> dict[str, Any]:
-    """The fields of a design that the command line names; raises BadSetting naming the option."""
+    """The fields of a design that the command line names; raises BadOption."""
     if trials is not None and trials < 1:
-        raise BadSetting(f"--trials {trials}: should be at least 1")
+        raise BadOption("trials", trials, "should be at least 1")
     if seed is not None and not 0 <= seed < 2**62:
-        raise BadSetting(f"--seed {seed}: should be a whole number from 0 to 2**62")
+        raise BadOption("seed", seed, "should be a whole number from 0 to 2**62")
     numbers = _parts(targets)
     if numbers is not None and not all(part.isdecimal() for part in numbers):
-        raise BadSetting(f"--targets {targets}: should be whole numbers with commas, such as 30,40,50")
+        raise BadOption("targets", targets, "should be whole numbers with commas, such as 30,40,50")
     counts = None if numbers is None else tuple(map(int, numbers))
     named = {"trials": trials, "first_seed": seed, "teams": _parts(teams), "targets": counts, "methods": _parts(methods)}
     return {field: value for field, value in named.items() if value is not None}
 
 
 def check_workers(workers: int | None) -> None:
-    """Raise BadSetting for a number of worker processes that is none."""
+    """Raise BadOption for a number of worker processes that is none."""
     if workers is not None and workers < 1:
-        raise BadSetting(f"--workers {workers}: should be 1 or more")
+        raise BadOption("workers", workers, "should be 1 or more")
 
 
 def _parts(text: str | None) -> tuple[str, ...] | None:

@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from deploy.studies.trials import Row
-from protocol.settings import BadSetting
+from protocol.settings import BadOption, BadSetting
 
 NUMBERS = ("seed", "start_targets", "agents", "steady_ospa", "steady_gospa", "end_in_view")  # columns that figures are drawn from
 
@@ -35,19 +35,19 @@ class StudyFolder:
 
     @contextmanager
     def claimed(self) -> Iterator[None]:
-        """Hold the folder; raises BadSetting when another study holds it or it cannot be written."""
+        """Hold the folder; raises BadOption when another study holds it or it cannot be written."""
         try:
             self.path.mkdir(parents=True, exist_ok=True)
             descriptor = os.open(self.path / "lock", os.O_RDWR | os.O_CREAT, 0o600)
         except OSError as error:
-            raise BadSetting(f"--into {self.path}: {error.strerror}") from None
+            raise BadOption("into", str(self.path), error.strerror or str(error)) from None
         try:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError as error:
             os.close(descriptor)
             is_held = isinstance(error, BlockingIOError)
             why = "a study is running there; wait for it" if is_held else f"files cannot be locked: {error.strerror}"
-            raise BadSetting(f"--into {self.path}: {why}, or name another folder") from None
+            raise BadOption("into", str(self.path), f"{why}, or name another folder") from None
         try:
             self._mend()
             yield

@@ -20,7 +20,7 @@ from deploy.scenario import SEARCH_EXTRACTION, Scenario, find, own_classes, reso
 from deploy.scoring.error_parts import ErrorParts
 from deploy.scoring.result import Result
 from deploy.simulation import Simulation
-from protocol.settings import BadSetting, load_named
+from protocol.settings import BadOption, load_named
 
 Row = dict[str, Any]
 ROOMS = Path(__file__).resolve().parents[2]  # the folder that holds the rooms
@@ -155,9 +155,9 @@ def _recorded_files(scenario: Scenario) -> list[Path]:
 
 
 def check_method(name: str) -> None:
-    """Raise BadSetting unless there is such a method."""
+    """Raise BadOption unless there is such a method."""
     if name not in METHODS:
-        raise BadSetting(f"--methods {name}: should be one or more of {', '.join(METHODS)}")
+        raise BadOption("methods", name, f"should be one or more of {', '.join(METHODS)}")
 
 
 def fingerprint() -> str:

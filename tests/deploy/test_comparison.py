@@ -219,7 +219,7 @@ def test_the_law_beside_a_demo_outweighs_a_law_that_was_set_in_another_way() -> 
     chosen = RunOptions(settings=["control.mode=search-and-track"])
     law = other_law(chosen.variant("quick"))
     assert law == "lloyd"
-    assert chosen.variant("quick", f"control.mode={law}").control.mode == "lloyd"
+    assert chosen.variant("quick", {"control.mode": law}).control.mode == "lloyd"
 
 
 def test_the_page_draws_the_tick_of_its_figures_where_ticks_are_long() -> None:

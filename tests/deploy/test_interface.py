@@ -2,13 +2,14 @@
 
 import inspect
 import json
+import math
 import os
 import subprocess
 import sys
 from collections.abc import Iterator
 from dataclasses import fields
 from pathlib import Path
-from typing import get_type_hints
+from typing import Any, get_type_hints
 
 import numpy as np
 import pytest
@@ -141,7 +142,16 @@ def test_what_was_passed_in_another_process_is_told_apart_from_what_never_was() 
         ({"name": "nowhere"}, "scenario 'nowhere' does not exist"),
         ({"seconds": -1.0}, r"run\.seconds = -1\.0"),
         ({"settings": {"run.sede": 1}}, r"run\.sede: there is no such field; did you mean seed\?"),
-        ({"kill": "half"}, "--kill half"),
+        ({"kill": "half"}, "^kill = 'half': should read who@when"),
+        ({"loss": 2}, r"^loss = 2: should be a share"),
+        ({"seed": "1"}, "^seed = '1': should be a whole number$"),
+        ({"seed": True}, "^seed = True: should be a whole number$"),
+        ({"name": 3}, "^name = 3: should be a text or a path or a Scenario$"),
+        ({"partition": "hexagon"}, "^partition = 'hexagon': should be one of power, voronoi, voronoi-cod$"),
+        ({"sensors": [Ring]}, r"^sensors = \[<class .*: should be a dict with texts as keys$"),
+        ({"settings": ["detection.clutter=0.5"]}, r"^settings = \['detection.clutter=0.5'\]: should be a dict with texts as keys$"),
+        ({"settings": {"detection": {"clutter": 0.5}}}, r"^detection: should be the name of a setting with its section"),
+        ({"settings": {"detection.clutter": object()}}, r"detection\.clutter = <object"),
         ({"team": "3nothing"}, "sensor class 'nothing' does not exist"),
         ({"control": object()}, r"needs a method command\(situation\)"),
         ({"sensors": {"x": object()}, "team": "1x"}, "lacks reach, area, probability, footprint"),
@@ -186,14 +196,36 @@ def test_a_study_gives_its_rows_and_goes_on_where_it_was(tmp_path: Path) -> None
     assert covey.study("convergence", **options).rows == study.rows
     assert (tmp_path / "study" / "trials.jsonl").stat().st_mtime_ns == began
     assert covey.load_study(tmp_path / "study").columns()["seed"].tolist() == [100, 100]
-    with pytest.raises(covey.BadSetting, match="covey study robustness"):
-        covey.study("robustness")  # type: ignore[arg-type]
 
 
-def test_a_study_refuses_workers_that_are_none(tmp_path: Path) -> None:
-    with pytest.raises(covey.BadSetting, match="--workers 0: should be 1 or more"):
-        covey.study("convergence", workers=0, into=tmp_path / "study")
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        ({"workers": 0}, "^workers = 0: should be 1 or more$"),
+        ({"workers": "two"}, "^workers = 'two': should be a whole number$"),
+        ({"trials": 0}, "^trials = 0: should be at least 1$"),
+        ({"methods": "p"}, "^methods = 'p': should be one or more of power"),
+        ({"methods": ["power", 3]}, r"^methods = \['power', 3\]: should be a text or a list of texts$"),
+        ({"targets": 3.5}, "^targets = 3.5: should be a whole number or a list of whole numbers$"),
+        ({"name": "robustness"}, "^name = 'robustness': should be one of convergence, efficacy, heterogeneity, ablation$"),
+        ({"teams": "A2", "methods": "power", "targets": 3, "settings": {"run.sede": 1}}, "run.sede: there is no such field"),
+    ],
+)
+def test_what_is_wrong_of_a_study_is_said_in_one_line_before_its_folder_is_made(options: dict[str, Any], says: str, tmp_path: Path) -> None:
+    with pytest.raises(covey.BadSetting, match=says):
+        covey.study(**{"name": "convergence", "into": tmp_path / "study", **options})
     assert not (tmp_path / "study").exists()
+
+
+def test_numbers_of_numpy_are_taken_wherever_numbers_are() -> None:
+    plain = covey.scenario("quick", seed=1, seconds=3.0, targets=2, settings={"arena.width": 20.0, "network.seeds": ["tcp/127.0.0.1:7"]})
+    numpy = {"arena.width": np.float32(20.0), "network.seeds": np.array(["tcp/127.0.0.1:7"])}
+    assert covey.scenario("quick", seed=np.arange(2)[1], seconds=np.float32(3), targets=np.int64(2), settings=numpy) == plain  # type: ignore[arg-type]
+
+
+def test_elementwise_takes_what_numpy_makes_an_array_of() -> None:
+    assert covey.elementwise(math.exp, [0.0, 1.0]).tolist() == [1.0, math.e]
+    assert covey.elementwise(math.atan2, np.zeros((1, 2)), [[1.0, 2.0]]).tolist() == [[0.0, 0.0]]
 
 
 def plan_of(options: dict[str, object]) -> list[object]:

@@ -195,7 +195,7 @@ def test_a_wrong_option_is_told_in_one_line_with_the_file(overrides: dict[str, A
 
 
 def test_an_option_inside_something_that_is_no_section_is_refused() -> None:
-    with pytest.raises(BadSetting, match=r"--set run\.seed\.x: seed is not a section"):
+    with pytest.raises(BadSetting, match=r"run\.seed\.x: seed is not a section"):
         resolve("quick", {"run.seed": 1, "run.seed.x": 2})
 
 

@@ -35,7 +35,7 @@ def demo(
         resolved = start.with_max_rate(resolved, resolved.run.seconds / DEMO_SECONDS)
     showing = DisplayOptions(options.json, record, page or open, open, stays=True)
     if paced and showing.page and (law := start.other_law(resolved)):
-        showing = replace(showing, beside=start.with_deaths(chosen.variant(scenario, f"control.mode={law}")))
+        showing = replace(showing, beside=start.with_deaths(chosen.variant(scenario, {"control.mode": law})))
     start.demo(resolved, chosen.requested_name(resolved), showing, options.spawn)
 
 
@@ -60,7 +60,7 @@ def compare(
     from deploy.cli import compare
 
     setting = "partition.kind" if against in DIAGRAMS else "control.mode"
-    one, other = options.scenario(scenario), options.variant(scenario, f"{setting}={against}")
+    one, other = options.scenario(scenario), options.variant(scenario, {setting: against})
     return compare.compare(one, other, page, speed, open)
 
 

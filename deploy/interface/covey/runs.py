@@ -9,10 +9,11 @@ from typing import TYPE_CHECKING, Any, Literal
 import msgspec
 import numpy as np
 
+from covey.arguments import checked
 from covey.columns import Columns, columns_of, to_arrow, to_pandas
 from covey.plugged import name_of
 from deploy.cli.options import RunOptions
-from deploy.scenario import Scenario, toml_text, toml_value
+from deploy.scenario import Scenario, toml_text
 from deploy.scoring.result import Result
 from deploy.scoring.scores import Score
 from protocol.observer_messages import Truth
@@ -26,6 +27,7 @@ Partition = Literal["power", "voronoi", "voronoi-cod"]
 Capacity = Literal["literal", "expected", "static", "saturating"]
 
 
+@checked
 def scenario(
     name: str | Path | Scenario = "convergence",
     *,
@@ -40,7 +42,7 @@ def scenario(
     capacity: Capacity | None = None,
     control: object | None = None,
     sensors: Mapping[str, object] | None = None,
-    kill: Sequence[str] = (),
+    kill: str | Sequence[str] = (),
     loss: float | None = None,
     delay: float | None = None,
     rate: float | None = None,
@@ -80,6 +82,7 @@ def scenario(
         Any setting by its dotted name, such as {"detection.clutter": 0.5}.
     """
     named: dict[str, Any] = {f"sensors.{key}.model": name_of(sensor) for key, sensor in (sensors or {}).items()}
+    named |= settings or {}
     options = RunOptions(
         seed=seed,
         team=team,
@@ -96,22 +99,13 @@ def scenario(
         delay=delay,
         lockstep=rate is None,
         rate=rate,
-        settings=[
-            f"{key}={toml_value(value.item() if isinstance(value, np.generic) else value)}"
-            for key, value in {**named, **(settings or {})}.items()
-        ],
     )
     if not isinstance(name, Scenario):
-        return options.scenario(str(name))
-    return _lay_over(name, options)
+        return options.scenario(str(name), named)
+    return _lay_over(name, options, named)
 
 
-def _plain(value: Any) -> Any:
-    """A numpy scalar as Python's own number; another value as it is."""
-    return value.item() if isinstance(value, np.generic) else value
-
-
-def _lay_over(found: Scenario, options: RunOptions) -> Scenario:
+def _lay_over(found: Scenario, options: RunOptions, settings: Mapping[str, Any]) -> Scenario:
     """Options over a scenario that is resolved already: it goes the way of a file."""
     data = msgspec.to_builtins(found)
     if options.team is not None:
@@ -120,7 +114,7 @@ def _lay_over(found: Scenario, options: RunOptions) -> Scenario:
         file = Path(folder) / "scenario.toml"
         file.write_text(toml_text(data), encoding="utf-8")
         try:
-            return options.scenario(str(file))
+            return options.scenario(str(file), settings)
         except BadSetting as error:
             raise BadSetting(str(error).replace(str(file), f"scenario {found.run.scenario}")) from None
 
@@ -129,9 +123,9 @@ def _lay_over(found: Scenario, options: RunOptions) -> Scenario:
 class Run:
     """What came out of a run. Every array has one row for each tick that was scored; lengths in m, areas as shares of the arena."""
 
-    scenario: Scenario
-    result: Result  # the figures of the whole run
-    agents: tuple[str, ...]
+    scenario: Scenario  # with its options
+    result: Result  # the figures of the whole run: docs/reference/results.md#the-fields-of-a-result
+    agents: tuple[str, ...]  # names, in the order of the columns of `poses`
     poses: np.ndarray  # (ticks, agents, 3): x, y, heading of every body; nan where there is none
     true_targets: tuple[np.ndarray, ...]  # (targets, 2) at each tick
     scores: tuple[Score, ...] = field(repr=False)
@@ -200,6 +194,7 @@ class Run:
         return f"<Run of {result.scenario}, seed {result.seed}: {result.agents} agents, {result.ticks} ticks of {result.dt:g} s; {ospa}>"
 
 
+@checked
 def simulate(
     name: str | Path | Scenario = "convergence",
     *,
@@ -214,7 +209,7 @@ def simulate(
     capacity: Capacity | None = None,
     control: object | None = None,
     sensors: Mapping[str, object] | None = None,
-    kill: Sequence[str] = (),
+    kill: str | Sequence[str] = (),
     loss: float | None = None,
     delay: float | None = None,
     rate: float | None = None,
@@ -258,6 +253,7 @@ def simulate(
     return _run_of(found, simulation.run(), simulation.scorer.scores, truths)
 
 
+@checked
 def load(name: str | Path) -> Run:
     """A recorded run: the name of a run, its directory, or a recording (.mcap); scored again from what was heard."""
     from deploy.recording.recording import Recording, find_recording

@@ -5,12 +5,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
+from covey.arguments import checked
 from covey.columns import Columns, columns_of, to_arrow, to_pandas
 from deploy.studies.design import plan
 from deploy.studies.paired import Summary, groups_of, summarise
 from deploy.studies.results import StudyFolder, read_results
 from deploy.studies.trials import methods_of
-from protocol.settings import BadSetting
 
 if TYPE_CHECKING:
     import pandas
@@ -50,15 +50,16 @@ class Study:
         return f"<Study in {self.folder}: {len(self.rows)} trials of {methods}>"
 
 
+@checked
 def study(
-    name: Literal["convergence", "efficacy", "heterogeneity"],
+    name: Literal["convergence", "efficacy", "heterogeneity", "ablation"],
     *,
     quick: bool = False,
     trials: int | None = None,
     seed: int | None = None,
-    teams: Sequence[str] | None = None,
-    targets: Sequence[int] | None = None,
-    methods: Sequence[str] | None = None,
+    teams: str | Sequence[str] | None = None,
+    targets: int | Sequence[int] | None = None,
+    methods: str | Sequence[str] | None = None,
     triple: str | None = None,
     capacity: str | None = None,
     dt: float | None = None,
@@ -74,13 +75,14 @@ def study(
     Parameters
     ----------
     name
-        convergence (section IV-A), efficacy (IV-B, figure 4) or heterogeneity (IV-C, figure 5).
+        convergence (section IV-A), efficacy (IV-B, figure 4), heterogeneity (IV-C, figure 5), or ablation (search-and-track without
+        each of its ingredients). Studies of robustness and of bodies are commands alone: `covey study robustness`.
     quick
         Few short trials.
     trials, seed
         Seeds for each combination of team, number of targets and method, and the first of them.
     teams, targets, methods
-        What is compared: compositions such as "20E+4H", numbers of targets, and power, voronoi, voronoi-cod, pursuit and others.
+        What is compared, one or several: compositions such as "20E+4H", numbers of targets, and power, voronoi, voronoi-cod and others.
     triple, capacity, dt, seconds, settings
         Of all trials, as in `scenario`.
     into
@@ -95,21 +97,25 @@ def study(
     from deploy.studies.trials import run_trial
 
     need_study_packages("covey.study")
-    if name in ("robustness", "bodies"):
-        raise BadSetting(f"study {name!r}: run it with the command covey study {name}")
     check_workers(workers)
-    joined = [None if values is None else ",".join(map(str, values)) for values in (teams, targets, methods)]
+    joined = [None if values is None else _joined(values) for values in (teams, targets, methods)]
     given = design_fields(trials, seed, *joined)
     options = {**dotted_options(triple, capacity, dt, seconds, []), **(settings or {})}
     found = design_with(name, quick, given, options)
-    folder = StudyFolder(Path(into) if into is not None else default_folder(name, quick))
+    planned, folder = plan(found), StudyFolder(Path(into) if into is not None else default_folder(name, quick))
     with folder.claimed():
         console = console_of(as_json=True)
-        rows = run_open_trials(found.scenario, folder, plan(found), workers, None, console, run_trial)
+        rows = run_open_trials(found.scenario, folder, planned, workers, None, console, run_trial)
         folder.publish(rows)
     return Study(folder.path, tuple(rows))
 
 
+def _joined(values: str | int | Sequence[str | int]) -> str:
+    """One value, or several with commas, as the command takes them."""
+    return ",".join(map(str, [values] if isinstance(values, str | int) else values))
+
+
+@checked
 def load_study(folder: str | Path) -> Study:
     """A study that has been run: its folder, its results.parquet or its results.csv."""
     path = Path(folder)
