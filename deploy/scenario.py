@@ -255,8 +255,6 @@ def recording_remarks(scenario: Scenario) -> tuple[str, ...]:
 def check_sensor_fields(sensor: SensorSettings, where: str) -> None:
     """Raise BadSetting for a field that a sensor of this kind does not read, or needs; `where` stands before the names of fields."""
     if sensor.model != "wedge":
-        if sensor.model.partition(":")[0].endswith(".py"):
-            raise BadSetting(f"{where}model = {sensor.model!r}: should be the name of a module, without .py, such as my_sensors:Camera")
         for field in ("angle", "radius", "prob_detection", "prob_detection_far", "range_noise", "bearing_noise"):
             if value := getattr(sensor, field):
                 raise BadSetting(f"{where}{field} = {value:g}: only a wedge reads it; should be left out, or stand in parameters")

@@ -6,7 +6,6 @@ A scenario is a TOML file of sections; each room declares the sections it needs 
 
 import difflib
 import importlib
-import inspect
 import math
 import os
 import re
@@ -115,14 +114,9 @@ class SensorSettings(Section, frozen=True, kw_only=True):
             radius = paper.radius if self.radius is None else self.radius
             prob_detection = paper.prob_detection if self.prob_detection is None else self.prob_detection
             return WedgeSensor(angle, radius, prob_detection, self._measurement(), self.prob_detection_far)
-        try:
-            sensor = load_named(self.model)(**self.parameters)
-        except TypeError as error:
-            raise TypeError(f"{error}{_parameters_of(self.model)}") from error
-        except (ValueError, ImportError):
-            raise
-        except (Exception, SystemExit) as error:
-            raise ValueError(f"{self.model} raised {type(error).__name__}: {error}") from error
+        from protocol.user_classes import CheckedSensor, build, probe  # which imports this file
+
+        sensor = build(self.model, "Class(**parameters)", (), parameters=self.parameters)
         if self.measures != "position":
             raise ValueError(f"measures = {self.measures!r}: should be 'position' for a sensor of one's own; a wedge has others")
         missing = [part for part in ("reach", "area", "probability", "footprint") if not hasattr(sensor, part)]
@@ -130,8 +124,6 @@ class SensorSettings(Section, frozen=True, kw_only=True):
             raise ValueError(f"{self.model} lacks {', '.join(missing)} of protocol.sensing.SensorModel")
         if isinstance(sensor, WedgeSensor):
             return sensor
-        from protocol.user_classes import CheckedSensor, probe  # which imports this file
-
         checked = CheckedSensor(sensor, self.model)
         probe(checked, self.model)
         return checked
@@ -190,8 +182,10 @@ class CommonSettings(msgspec.Struct, frozen=True, kw_only=True):
 def load_named(name: str) -> Any:
     """The object that `module:Name` names; raises ValueError or ImportError naming the mistake."""
     module, colon, attribute = name.partition(":")
-    if not colon or not module or module.startswith("."):
+    if not colon or not module or not attribute or module.startswith("."):
         raise ValueError(f"{name!r} should read module:Name")
+    if module.endswith(".py"):
+        raise ValueError(f"{name!r}: should be the name of a module, without .py: {module.removesuffix('.py')}:{attribute}")
     try:
         found = importlib.import_module(module)
     except ModuleNotFoundError as error:
@@ -208,15 +202,6 @@ def load_named(name: str) -> Any:
         alike = difflib.get_close_matches(attribute, dir(found), 1)
         raise ValueError(f"module {module} has no {attribute}" + (f"; did you mean {alike[0]}?" if alike else ""))
     return getattr(found, attribute)
-
-
-def _parameters_of(name: str) -> str:
-    """What the class `module:Class` takes, for an error; empty where that cannot be told."""
-    try:
-        taken = ", ".join(inspect.signature(load_named(name)).parameters)
-    except (TypeError, ValueError):
-        return ""
-    return f"; it takes {taken}" if taken else "; it takes no parameters"
 
 
 _BUILT: dict[int, tuple[SensorSettings, SensorModel]] = {}  # settings by their id -> settings and model; equal settings share one model
@@ -240,8 +225,8 @@ def sensor_of(settings: CommonSettings, sensor_class: str) -> SensorModel:
         built = own.build(SENSOR_CLASSES.get(sensor_class))
         _BUILT[id(own)] = own, built
         return built
-    except (ValueError, ImportError, TypeError) as error:
-        raise BadSetting(f"sensors.{sensor_class}: {error}") from None
+    except ValueError as error:
+        raise BadSetting(f"sensors.{sensor_class}: {error}") from error.__cause__
 
 
 T = TypeVar("T")

@@ -4,35 +4,88 @@ Every returned value is checked. A wrong value raises a `BadSetting` that names 
 inside the class raises a `BadSetting` with the exception as its cause.
 """
 
+import inspect
 import math
 import traceback
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
 from protocol.sensing import Pose, SensorModel
-from protocol.settings import BadSetting
+from protocol.settings import BadSetting, load_named
 
 AT_REST: Pose = (0.0, 0.0, 0.0)
 GRID = 200  # points on a side of the square in which a sensor is sampled
 AREA_FACTOR = 1.5  # times that an area may differ from the sampled one, whose border is as coarse as the grid
 LEAST_SEEN = 100  # points of the grid with a probability above 0 from which on the sampled area says something
+ROOMS = Path(__file__).resolve().parents[1]
+NOT_THE_USERS = (  # where errors may be raised on behalf of a class of the user's
+    *(str(ROOMS / room) + "/" for room in ("protocol", "agents", "world", "deploy")),
+    str(Path(traceback.__file__).parent) + "/",  # the standard library, and installed packages
+    str(Path(np.__file__).parents[1]) + "/",
+    "<frozen",
+)
 
 
 @contextmanager
 def as_bad_setting(what: str) -> Iterator[None]:
-    """Turn an exception inside the context into a BadSetting that names `what`."""
+    """Turn an exception inside the context into a BadSetting that names `what`, and the last line of the user's that led to it."""
     try:
         yield
     except BadSetting:
         raise
     except (Exception, SystemExit) as error:
-        where = traceback.extract_tb(error.__traceback__)[-1]
-        place = f" ({Path(where.filename).name}, line {where.lineno})" if where.filename != __file__ else ""
+        frames = traceback.extract_tb(error.__traceback__)
+        where = [frame for frame in frames if not frame.filename.startswith(NOT_THE_USERS)][-1:] or frames[-1:]
+        place = f" ({Path(where[0].filename).name}, line {where[0].lineno})" if where[0].filename != __file__ else ""
         raise BadSetting(f"{what} raised {type(error).__name__}: {' '.join(str(error).split())}{place}") from error
+
+
+def build(
+    name: str, built_as: str, methods: tuple[str, ...], *arguments: object, parameters: Mapping[str, Any] = MappingProxyType({})
+) -> Any:
+    """An object of the user's class `module:Class`; raises BadSetting naming the class and what is wrong. `built_as`: how, in words."""
+    try:
+        kind = load_named(name)
+    except ImportError as error:
+        raise BadSetting(str(error)) from error
+    if not callable(kind):
+        raise BadSetting(
+            f"{name} is {'a' if inspect.ismodule(kind) else 'an object of the class'} {type(kind).__name__}: should be a class"
+        )
+    taken = _taken_by(kind)
+    try:
+        taken.bind(*arguments, **parameters)
+    except TypeError as error:
+        wrong = f"{name}: {error}; it takes {', '.join(taken.parameters) or 'nothing'}, and is built as {built_as}"
+        raise BadSetting(wrong if inspect.isclass(kind) else f"{wrong}: should be a class") from None
+    with as_bad_setting(name):
+        built = kind(*arguments, **parameters)
+    missing = [method for method in methods if not callable(getattr(built, method, None))]
+    if missing:
+        raise BadSetting(f"{name}: the class has no method {', '.join(missing)}")
+    for method in methods:
+        if inspect.iscoroutinefunction(getattr(built, method)):
+            raise BadSetting(f"{name}.{method} is async: should be a method without async")
+    return built
+
+
+def _taken_by(kind: Callable[..., Any]) -> inspect.Signature:
+    """What a class takes; anything where it does not say, as one that is not written in Python."""
+    try:
+        return inspect.signature(kind)
+    except ValueError:
+        return inspect.signature(lambda *arguments, **parameters: None)
+
+
+def is_number(value: Any) -> bool:
+    """Whether a value is one real number, of Python or of numpy; truth values and texts are none."""
+    found = np.asarray(value)
+    return found.ndim == 0 and found.dtype.kind in "fiu"
 
 
 def real_array(what: str, value: Any, shape: tuple[int, ...]) -> np.ndarray:
@@ -76,8 +129,7 @@ class CheckedSensor:
     def _positive(self, part: str) -> float:
         with as_bad_setting(f"{self._name}.{part}"):
             value = getattr(self._sensor, part)
-        number = isinstance(value, int | float | np.number) and not isinstance(value, bool | complex | np.complexfloating)
-        if not number or not 0.0 < value <= 1e13:
+        if not is_number(value) or not 0.0 < value <= 1e13:
             raise BadSetting(f"{self._name}.{part} = {shown(value)}: should be a number > 0")
         return float(value)
 

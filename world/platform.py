@@ -18,7 +18,7 @@ from protocol.messages import Command
 from protocol.pose import integrate
 from protocol.sensing import Pose
 from protocol.settings import BadSetting, LimitSettings, load_named
-from protocol.user_classes import as_bad_setting, real_array, shown
+from protocol.user_classes import as_bad_setting, build, real_array, shown
 from world.bodies import start_poses
 from world.config import BodySettings, WorldConfig
 
@@ -162,16 +162,11 @@ def build_platform(name: str, config: WorldConfig) -> Platform:
     if settings.platform == SIMULATED:
         kind = Simulated if settings.model == "point" else Physical
         return kind(start_poses(config)[name], config.run.dt, config.limits)
-    own, where = platform_class(settings), f"bodies.platform = {settings.platform!r}"
+    platform_class(settings)
     try:
-        platform = own(name, **settings.parameters)
-    except (ValueError, ImportError, TypeError) as error:
-        raise BadSetting(f"{where}: {error}; {RIGHT}") from None
-    except (Exception, SystemExit) as error:
-        raise BadSetting(f"{where}: raised {type(error).__name__}: {error}") from error
-    missing = [method for method in METHODS if not callable(getattr(platform, method, None))]
-    if missing:
-        raise BadSetting(f"{where}: has no method {', '.join(missing)} (see world.platform.Platform)")
+        platform = build(settings.platform, "Class(name, **bodies.parameters)", METHODS, name, parameters=settings.parameters)
+    except ValueError as error:
+        raise BadSetting(f"bodies.platform = {settings.platform!r}: {error}") from error.__cause__
     return CheckedPlatform(platform, settings.platform)
 
 

@@ -12,8 +12,8 @@ import numpy as np
 from protocol.arithmetic import elementwise
 from protocol.fields import MAX_DETECTIONS
 from protocol.random_streams import normal, random_key, scramble, stream
-from protocol.settings import ArenaSettings, BadSetting, load_named
-from protocol.user_classes import as_bad_setting, real_array, shown
+from protocol.settings import ArenaSettings, BadSetting
+from protocol.user_classes import as_bad_setting, build, real_array, shown
 from world.config import TargetSettings
 
 
@@ -49,13 +49,9 @@ def build_motion(settings: TargetSettings, dt: float, seed: int) -> Motion:
     if settings.motion == "constant-speed":
         return ConstantSpeed(settings, dt, seed)
     try:
-        motion = load_named(settings.motion)(settings, dt, seed)
-    except (ValueError, ImportError, TypeError) as error:
-        raise BadSetting(f"targets.motion = {settings.motion!r}: {error}; should be constant-speed or module:Class") from None
-    except (Exception, SystemExit) as error:
-        raise BadSetting(f"targets.motion = {settings.motion!r}: raised {type(error).__name__}: {error}") from error
-    if not hasattr(motion, "move"):
-        raise BadSetting(f"targets.motion = {settings.motion!r}: has no method move (see world.targets.Motion)")
+        motion = build(settings.motion, "Class(settings, dt, seed) with a method move", ("move",), settings, dt, seed)
+    except ValueError as error:
+        raise BadSetting(f"targets.motion = {settings.motion!r}: {error}; should be constant-speed or module:Class") from error.__cause__
     return CheckedMotion(motion, settings.motion)
 
 

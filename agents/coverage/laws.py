@@ -11,8 +11,8 @@ from agents.coverage.control import ControlInput, ControlLaw, Lloyd, RandomWalk,
 from agents.coverage.pursuit import Pursuit
 from agents.coverage.search_and_track import SearchAndTrack
 from protocol.pose import clip_velocity
-from protocol.settings import BadSetting, load_named
-from protocol.user_classes import as_bad_setting, shown
+from protocol.settings import BadSetting
+from protocol.user_classes import as_bad_setting, build, is_number, shown
 
 CONTROL_LAWS: dict[str, type[ControlLaw]] = {
     "lloyd": Lloyd,
@@ -32,14 +32,9 @@ def control_law(config: AgentConfig, backend: Backend = PLAIN) -> ControlLaw:
     if ":" not in mode:
         raise BadSetting(f"control.mode = {mode!r}: known are {', '.join(CONTROL_LAWS)}, or your own as module:Class")
     try:
-        law = load_named(mode)()
-    except (ValueError, ImportError, TypeError) as error:
-        raise BadSetting(f"control.mode = {mode!r}: {error}") from None
-    except (Exception, SystemExit) as error:
-        raise BadSetting(f"control.mode = {mode!r}: raised {type(error).__name__}: {error}") from error
-    if not callable(getattr(law, "command", None)):
-        raise BadSetting(f"control.mode = {mode!r}: the class needs a method command(situation)")
-    return CheckedLaw(law, mode)
+        return CheckedLaw(build(mode, "Class() with a method command(situation)", ("command",)), mode)
+    except ValueError as error:
+        raise BadSetting(f"control.mode = {mode!r}: {error}") from error.__cause__
 
 
 class CheckedLaw:
@@ -56,10 +51,10 @@ class CheckedLaw:
             answer = self._law.command(own)
         try:
             (vx, vy), turn_rate = answer
-            numbers = tuple(map(float, (vx, vy, turn_rate)))
+            numbers = tuple(float(value) if is_number(value) else math.nan for value in (vx, vy, turn_rate))
         except (TypeError, ValueError):
             numbers = (math.nan,)
-        if not all(map(math.isfinite, numbers)) or isinstance(answer, str):
+        if not all(map(math.isfinite, numbers)):
             raise BadSetting(
                 f"{self._name}.command returned {shown(answer)}: should be ((vx, vy), turn_rate), finite numbers in m/s and rad/s"
             )

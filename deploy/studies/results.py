@@ -119,6 +119,10 @@ def read_results(path: Path) -> list[Row]:
         path = folder.csv if folder.csv.exists() and not folder.parquet.exists() else folder.parquet
         if folder.trials.exists() and not path.exists():
             raise BadSetting(f"{folder.path}: the study has not finished; the command that began it goes on")
+        if not path.exists():
+            raise BadSetting(f"{folder.path}: no results of a study: holds neither results.parquet nor results.csv")
+    if not path.exists():
+        raise BadSetting(f"{path}: there is no such file or folder")
     try:
         rows = _read_parquet(path) if path.suffix == ".parquet" else _read_csv(path)
     except (OSError, ValueError, csv.Error) as error:

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from agents.coverage.control import approach
 from protocol.sensing import Pose
 from tests.deploy.wrong_inputs import folder, typed
 
@@ -220,6 +221,40 @@ class Flat:
         return 1.0, 0.0, 0.5
 
 
+class Async:
+    async def command(self, situation: Any) -> Any:
+        return (0.0, 0.0), 0.0
+
+
+class Words:
+    def command(self, situation: Any) -> Any:
+        return ("1", "2"), "3"
+
+
+class Truths:
+    def command(self, situation: Any) -> Any:
+        return (True, False), True
+
+
+class Nowhere:
+    def command(self, situation: Any) -> Any:
+        return approach(situation, None)  # type: ignore[arg-type]
+
+
+class Gain:
+    def __init__(self, gain: float) -> None: ...
+
+    def command(self, situation: Any) -> Any: ...
+
+
+def forward(situation: Any) -> Any:
+    """A function in place of a class."""
+    return (1.0, 0.0), 0.0
+
+
+an_object = Camera()
+
+
 class Breaks:
     def command(self, situation: Any) -> Any:
         return situation.no_such_thing
@@ -247,6 +282,12 @@ class Crash(Still):
         raise ZeroDivisionError("boom")
 
 
+def line_of(part: str) -> int:
+    """The first line of this file that holds a text."""
+    return next(number for number, line in enumerate(Path(__file__).read_text().splitlines(), start=1) if part in line)
+
+
+NOWHERE, NO_CAMERA = line_of("approach(situation, None)"), line_of('KeyError("no camera")')
 PLUGGED = [
     ("sensor", "Shape", "Shape.probability of 3 points returned an array of shape (7,)"),
     ("sensor", "Nothing", "Nothing.probability of 3 points returned None"),
@@ -274,7 +315,7 @@ PLUGGED = [
     ("sensor", "Everywhere", "Everywhere: a reach of 2000 m is too far to compute with: something is seen up to "),
     ("sensor", "NoReach", "NoReach.reach = -1.0: should be a number > 0"),
     ("sensor", "Wordy", "Wordy.area = 'large': should be a number > 0"),
-    ("sensor", "NoCamera", "NoCamera raised KeyError: 'no camera'"),
+    ("sensor", "NoCamera", f"NoCamera raised KeyError: 'no camera' (test_faulty_classes.py, line {NO_CAMERA})"),
     ("sensor", "Says", "Says lacks reach, area, probability, footprint"),
     ("sensor", "Missing", "has no Missing"),
     ("sensor", "Leaves", "Leaves raised SystemExit: 0"),
@@ -284,9 +325,22 @@ PLUGGED = [
     ("control", "Says", "Says.command returned 'forward': should be ((vx, vy), turn_rate)"),
     ("control", "NanLaw", "NanLaw.command returned ((nan, 0.0), 0.0)"),
     ("control", "Flat", "Flat.command returned (1.0, 0.0, 0.5)"),
+    ("control", "Async", "Async.command is async: should be a method without async"),
+    ("control", "Words", "Words.command returned (('1', '2'), '3'): should be ((vx, vy), turn_rate)"),
+    ("control", "Truths", "Truths.command returned ((True, False), True): should be ((vx, vy), turn_rate)"),
+    (
+        "control",
+        "Nowhere",
+        f"Nowhere.command raised TypeError: 'NoneType' object is not subscriptable (test_faulty_classes.py, line {NOWHERE})",
+    ),
+    ("control", "Gain", "Gain: missing a required argument: 'gain'; it takes gain, and is built as Class() with a method command"),
+    ("control", "forward", "forward: missing a required argument: 'situation'; it takes situation, and is built as Class()"),
+    ("control", "an_object", "an_object is an object of the class Camera: should be a class"),
+    ("sensor", "an_object", "an_object is an object of the class Camera: should be a class"),
+    ("sensor", "np", "np is a module: should be a class"),
     ("control", "Breaks", "Breaks.command raised AttributeError"),
     ("control", "LaterLaw", "LaterLaw.command returned 'left'"),
-    ("control", "Camera", "the class needs a method command(situation)"),
+    ("control", "Camera", "the class has no method command"),
     ("control", "NoCamera", "raised KeyError: 'no camera'"),
     ("motion", "Still", "Still.move of 2 targets returned array("),
     ("motion", "Lost", "Lost.move of 2 targets, positions: returned an array of shape (1, 2)"),

@@ -153,7 +153,7 @@ def test_what_was_passed_in_another_process_is_told_apart_from_what_never_was() 
         ({"settings": {"detection": {"clutter": 0.5}}}, r"^detection: should be the name of a setting with its section"),
         ({"settings": {"detection.clutter": object()}}, r"detection\.clutter = <object"),
         ({"team": "3nothing"}, "sensor class 'nothing' does not exist"),
-        ({"control": object()}, r"needs a method command\(situation\)"),
+        ({"control": object()}, r"the class has no method command"),
         ({"sensors": {"x": object()}, "team": "1x"}, "lacks reach, area, probability, footprint"),
     ],
 )

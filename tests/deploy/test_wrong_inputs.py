@@ -113,7 +113,7 @@ TYPED = [
     ("check ray.toml", 2, "ray.toml: sensors.A.bearing_noise = 0: should be more than 0 and at most 45 degrees"),
     ("check far.toml", 2, "far.toml: sensors.A.range_noise = 1: should be left out"),
     ("check beam.toml", 2, "beam.toml: sensors.A.radius = 1000: should be at most "),
-    ("check suffix.toml", 2, "suffix.toml: sensors.A.model = 'mine.py:Camera': should be the name of a module, without .py"),
+    ("check suffix.toml", 2, "suffix.toml: sensors.A: 'mine.py:Camera': should be the name of a module, without .py: mine:Camera"),
     ("check dash.toml", 2, "dash.toml: team.composition = '2cam-1': should be a team 1-8"),
     ("simulate quick --data file", 2, "is not read with recorded.kind = 'none'; that should be one of pedestrians, ships, mrclam"),
     ("simulate member.toml", 2, "members = 'a b': should be 1 to 64 letters"),

@@ -218,7 +218,7 @@ def test_a_scenario_may_bring_its_own_motion_and_the_border_still_holds() -> Non
         ("wavy", "should read module:Name"),
         ("no_such_module_here:Thing", "No module named"),
         ("math:Wave", "module math has no Wave"),
-        ("math:pi", "not callable"),
+        ("math:pi", "math:pi is an object of the class float: should be a class"),
         (f"{__name__}:Motionless", "has no method move"),
     ],
 )
