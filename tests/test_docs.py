@@ -9,6 +9,8 @@ import pytest
 
 from deploy.cli.app import app
 from deploy.cli.commands import control, keep, look, run, setup, study  # noqa: F401 -- they add their commands
+from deploy.scoring.result import Result
+from deploy.scoring.scores import COLUMNS
 from tests import reference
 from tests.docs import PAGES, ROOT, Block, Reader, blocks_of, problems
 
@@ -71,6 +73,15 @@ def test_the_menu_of_the_site_has_every_page() -> None:
 @pytest.mark.parametrize("page", reference.PAGES)
 def test_the_pages_made_from_the_code_are_those_of_this_code(page: str) -> None:
     assert (reference.FOLDER / page).read_text(encoding="utf-8") == reference.PAGES[page](), "python -m tests.reference writes them anew"
+
+
+@pytest.mark.parametrize(
+    ("heading", "names"), [("The fields of a result", Result.__struct_fields__), ("The columns of scores.csv", tuple(COLUMNS))]
+)
+def test_the_tables_of_a_result_name_every_key_once(heading: str, names: tuple[str, ...]) -> None:
+    text = (ROOT / "docs/reference/results.md").read_text(encoding="utf-8").partition(f"## {heading}\n")[2].partition("\n## ")[0]
+    firsts = [line.split("|")[1] for line in text.splitlines() if line.startswith("| `")]
+    assert sorted(name for cell in firsts for name in re.findall(r"`(\w+)`", cell)) == sorted(names)
 
 
 def test_an_option_of_a_mark_takes_the_place_of_the_one_that_is_printed(tmp_path: Path) -> None:

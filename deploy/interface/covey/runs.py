@@ -124,7 +124,7 @@ class Run:
     """What came out of a run. Every array has one row for each tick that was scored; lengths in m, areas as shares of the arena."""
 
     scenario: Scenario  # with its options
-    result: Result  # the figures of the whole run: docs/reference/results.md#the-fields-of-a-result
+    result: Result  # the figures of the whole run: fields in docs/reference/results.md#the-fields-of-a-result
     agents: tuple[str, ...]  # names, in the order of the columns of `poses`
     poses: np.ndarray  # (ticks, agents, 3): x, y, heading of every body; nan where there is none
     true_targets: tuple[np.ndarray, ...]  # (targets, 2) at each tick
@@ -171,7 +171,7 @@ class Run:
         return self._series("mass")
 
     def columns(self) -> Columns:
-        """All series by name: those above, and localisation, missed, false, hole, overlap and coverage."""
+        """All series, under the names of docs/reference/results.md#the-columns-of-scorescsv"""
         return columns_of(asdict(score) for score in self.scores)
 
     def to_pandas(self) -> "pandas.DataFrame":
