@@ -2,12 +2,12 @@
 
 import math
 from collections.abc import Callable, Iterator, Sequence
-from typing import Any
+from typing import Any, TypeVar
 
 import msgspec
 import numpy as np
 
-from agents.coverage.control import Situation
+from agents.coverage.control import ControlLaw, Situation
 from agents.coverage.laws import CheckedLaw, control_law
 from agents.tracking.births import prior_size
 from agents.tracking.particles import unlabelled
@@ -36,11 +36,13 @@ from world.bodies import check_given, start_poses
 from world.config import TargetSettings
 from world.platform import SIMULATED, platform_class
 from world.sources import READERS, body_source
-from world.targets import CheckedMotion, build_motion
+from world.targets import Motion, build_motion
 
 MOST_PRIOR = 1_000_000  # particles that an agent starts with
 MOST_EXPECTED = 0.15 * MOST_MASS  # targets for each agent in the mean; of unequal cells the largest holds up to five times as many
 MOST_BINS = 20_000_000  # of the grid on which an agent looks for targets
+T = TypeVar("T")
+TICKS_TRIED = 2  # of which a law and a motion of the user's own are asked, each by two objects
 WAITED_FOR = {"delay", "slow"}  # faults whose effect is lateness
 TEAM = {"team", "members", "sensors"}  # sections that are right or wrong together
 
@@ -176,7 +178,7 @@ def _try_sensor(scenario: Scenario, sensor_class: str) -> None:
 
 
 def _try_law(scenario: Scenario) -> None:
-    """Try a control law of the user for one agent and one tick, in the middle of the arena."""
+    """Try a control law of the user for one agent in the middle of the arena."""
     if scenario.control.mode == ORACLE:
         return
     law = control_law(scenario)
@@ -184,11 +186,12 @@ def _try_law(scenario: Scenario) -> None:
         return
     name, sensor_class = next(iter(scenario.members.items()))
     middle, sensor = (scenario.arena.width / 2.0, scenario.arena.height / 2.0), sensor_of(scenario, sensor_class)
-    law.command(
-        Situation(
+
+    def situation(tick: int) -> Situation:
+        return Situation(
             name=name,
             seed=scenario.run.seed,
-            tick=0,
+            tick=tick,
             dt=scenario.run.dt,
             pose=(*middle, 0.0),
             control_point=middle,
@@ -203,14 +206,34 @@ def _try_law(scenario: Scenario) -> None:
             generators=np.array([middle]),
             own_generator=0,
         )
-    )
+
+    def ask(one: ControlLaw, tick: int) -> np.ndarray:
+        velocity, turn_rate = one.command(situation(tick))
+        return np.array([*velocity, turn_rate])
+
+    _ask_two(f"{scenario.control.mode}.command", lambda: control_law(scenario), ask, "what `situation` has said to this object alone")
+
+
+def _ask_two(what: str, build: Callable[[], T], ask: Callable[[T, int], np.ndarray], source: str) -> None:
+    """Raise BadSetting where two objects of a class of the user's answer the same questions differently: no run could be repeated."""
+    one, other = build(), build()
+    for tick in range(TICKS_TRIED):
+        if not np.array_equal(ask(one, tick), ask(other, tick)):
+            wrong = f"{what} gives two answers to the same question, of tick {tick}: should follow from {source}"
+            raise BadSetting(f"{wrong}; no clock, no global random numbers, nothing that objects share")
 
 
 def _try_motion(scenario: Scenario) -> None:
-    """Try a motion model of the user for two targets and one tick."""
-    motion = build_motion(scenario.targets, scenario.run.dt, scenario.run.seed)
-    if isinstance(motion, CheckedMotion):
-        motion.move(np.array([[1.0, 2.0], [3.0, 4.0]]), np.array([0.0, 1.0]), np.array([1, 2], dtype=np.uint64), 0)
+    """Try a motion model of the user for two targets."""
+
+    def build() -> Motion:
+        return build_motion(scenario.targets, scenario.run.dt, scenario.run.seed)
+
+    def ask(one: Motion, tick: int) -> np.ndarray:
+        return np.column_stack(one.move(np.array([[1.0, 2.0], [3.0, 4.0]]), np.array([0.0, 1.0]), np.array([1, 2], dtype=np.uint64), tick))
+
+    if scenario.targets.motion != "constant-speed":
+        _ask_two(f"{scenario.targets.motion}.move", build, ask, "the seed, the ids and the tick alone")
 
 
 def _try_bodies(scenario: Scenario) -> None:

@@ -272,6 +272,31 @@ class Still:
         return positions
 
 
+class Drifts(Still):
+    def move(self, positions: np.ndarray, headings: np.ndarray, ids: np.ndarray, tick: int) -> Any:
+        return positions + np.random.normal(size=positions.shape), headings
+
+
+class Remembers:
+    """It counts the commands of all agents."""
+
+    calls = 0
+
+    def command(self, situation: Any) -> Any:
+        Remembers.calls += 1
+        return (0.1 * Remembers.calls, 0.0), 0.0
+
+
+class Counts:
+    """It counts its own commands, as it may."""
+
+    calls = 0
+
+    def command(self, situation: Any) -> Any:
+        self.calls += 1
+        return (0.1 * self.calls, 0.0), 0.0
+
+
 class Lost(Still):
     def move(self, positions: np.ndarray, headings: np.ndarray, ids: np.ndarray, tick: int) -> Any:
         return positions[:-1], headings
@@ -338,6 +363,12 @@ PLUGGED = [
     ("control", "an_object", "an_object is an object of the class Camera: should be a class"),
     ("sensor", "an_object", "an_object is an object of the class Camera: should be a class"),
     ("sensor", "np", "np is a module: should be a class"),
+    ("control", "Remembers", "Remembers.command gives two answers to the same question, of tick 0: should follow from what `situation`"),
+    (
+        "motion",
+        "Drifts",
+        "Drifts.move gives two answers to the same question, of tick 0: should follow from the seed, the ids and the tick",
+    ),
     ("control", "Breaks", "Breaks.command raised AttributeError"),
     ("control", "LaterLaw", "LaterLaw.command returned 'left'"),
     ("control", "Camera", "the class has no method command"),
@@ -377,6 +408,7 @@ def test_the_classes_that_have_no_fault_run(folder: Path, capsys: pytest.Capture
     for name in ("Camera", "Yes"):
         words = ["--seconds", "2", "--team", "2X", "--set", f"sensors.X.model={__name__}:{name}"]
         assert typed(["simulate", "quick", *words], capsys)[0] == 0
+    assert typed(["check", "quick", "--set", f"control.mode={__name__}:Counts"], capsys)[0] == 0
 
 
 def test_there_are_thirty_faults_and_more() -> None:
