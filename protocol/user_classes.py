@@ -40,9 +40,10 @@ def as_bad_setting(what: str) -> Iterator[None]:
         raise
     except (Exception, SystemExit) as error:
         frames = traceback.extract_tb(error.__traceback__)
-        where = [frame for frame in frames if not frame.filename.startswith(NOT_THE_USERS)][-1:] or frames[-1:]
-        place = f" ({Path(where[0].filename).name}, line {where[0].lineno})" if where[0].filename != __file__ else ""
-        raise BadSetting(f"{what} raised {type(error).__name__}: {' '.join(str(error).split())}{place}") from error
+        places = [
+            f" ({Path(frame.filename).name}, line {frame.lineno})" for frame in frames if not frame.filename.startswith(NOT_THE_USERS)
+        ]
+        raise BadSetting(f"{what} raised {type(error).__name__}: {' '.join(str(error).split())}{''.join(places[-1:])}") from error
 
 
 def build(

@@ -163,6 +163,11 @@ def test_what_is_wrong_is_said_in_one_line(options: dict[str, object], says: str
     assert "\n" not in str(caught.value)
 
 
+def test_an_argument_that_no_function_has_is_told_as_python_tells_it() -> None:
+    with pytest.raises(TypeError, match=r"^simulate\(\) got an unexpected keyword argument 'sed'$"):
+        covey.simulate("quick", sed=3)  # type: ignore[call-arg]
+
+
 def test_a_wrong_option_over_a_scenario_names_no_file_that_the_user_never_saw() -> None:
     with pytest.raises(covey.BadSetting, match=r"^scenario quick with options: run\.dt"):
         covey.scenario(covey.scenario("quick"), dt=99.0)

@@ -53,3 +53,13 @@ def test_an_exception_inside_is_the_cause_and_a_bad_setting_passes() -> None:
     assert isinstance(caught.value.__cause__, ZeroDivisionError)
     with pytest.raises(BadSetting, match=r"^as it is$"), as_bad_setting("mine:Law.command"):
         raise BadSetting("as it is")
+
+
+def test_an_error_without_a_line_of_the_users_names_no_line() -> None:
+    """Python raises it in the line of Covey that calls the class."""
+
+    class Blind:
+        def probability(self) -> None: ...
+
+    with pytest.raises(BadSetting, match=r"raised TypeError: .* takes 1 positional argument but 3 were given$"):
+        CheckedSensor(Blind(), "mine:Blind").probability(POINTS, (0.0, 0.0, 0.0))  # type: ignore[arg-type]

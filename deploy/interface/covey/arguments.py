@@ -34,7 +34,10 @@ def checked(function: Callable[P, T]) -> Callable[P, T]:
 
     @wraps(function)
     def call(*given: P.args, **named: P.kwargs) -> T:
-        bound, hints = taken.bind(*given, **named), get_type_hints(function)
+        try:
+            bound, hints = taken.bind(*given, **named), get_type_hints(function)
+        except TypeError as error:
+            raise TypeError(f"{function.__name__}() {error}") from None
         for name, value in bound.arguments.items():
             bound.arguments[name] = plain = _plain(value)
             if not _fits(plain, hints[name]):
