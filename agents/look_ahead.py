@@ -114,6 +114,7 @@ class GossipHistory:
 
         What is left when one expected target has been taken from a peak must be more than that to be another one.
         """
+        ticks = min(ticks, WINDOW_TICKS + 1)  # a jump over more ticks blurs no more
         if ticks not in self._blurred:
             config, now = self._context.config, self._context.config.extraction
             share = 1.0 / (1.0 + BLUR * ticks * config.run.dt)
@@ -172,12 +173,13 @@ def rectangle_around(polygon: np.ndarray, own: Gossip, reach: float, margin: flo
 def look_ahead(recent: GossipHistory, context: AgentContext, last: RoundResult, own: Gossip, ticks: int) -> RoundResult:
     """The result of a round as it stands at the tick of `own`, a later one: all of now but the belief, which stays that of the round.
 
-    `ticks`: how long the command is to last; 0: there is none.
+    Over more than `WINDOW_TICKS` the belief only moves: the gossips of these are kept. `ticks`: how long the command is to last; 0: there
+    is none.
     """
-    round_cell, belief, tracker, config = last.round_cell, last.belief, context.tracker, context.config
+    round_cell, tracker, config = last.round_cell, context.tracker, context.config
     if round_cell is None:  # no round has been played yet
         return last
-    region = round_cell.region
+    region, belief = round_cell.region, tracker.catch_up(last.belief, Step(config, own.tick - WINDOW_TICKS))
     for tick in range(belief.stamp + 1, own.tick):
         table = recent.table(recent.own_gossip(tick, own))
         density = tracker.merge(belief, table, Step(config, tick))

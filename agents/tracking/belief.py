@@ -31,6 +31,7 @@ from agents.tracking.tracker import (
     RegionInput,
     RegionUpdate,
     claims_tile_arena,
+    missed_ticks,
     stated_claims,
     unknown_senders,
 )
@@ -152,7 +153,7 @@ class ParticlePhd(NamedTuple):
             return belief
         released = _without_claim(belief)
         particles = released.copies.near
-        for missed in range(belief.stamp + 1, step.tick):
+        for missed in missed_ticks(belief, step):
             particles = predict(particles, step._replace(tick=missed))
         return replace(released, stamp=step.tick - 1, copies=Copies(particles))
 

@@ -37,6 +37,7 @@ from agents.tracking.tracker import (
     RegionInput,
     RegionUpdate,
     claims_tile_arena,
+    missed_ticks,
     stated_claims,
     unknown_senders,
 )
@@ -117,7 +118,7 @@ class MixturePhd(NamedTuple):
             return belief
         released = _without_claim(belief)
         copies = released.copies
-        for missed in range(belief.stamp + 1, step.tick):
+        for missed in missed_ticks(belief, step):
             copies = _moved(copies, step._replace(tick=missed))
         return replace(released, stamp=step.tick - 1, copies=copies)
 

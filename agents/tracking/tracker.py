@@ -22,6 +22,10 @@ from agents.tracking.step import Step
 from protocol.messages import Gossip
 from protocol.sensing import Pose, SensorModel
 
+# ticks over which copies are moved at most. What has moved for so long may be anywhere. Nothing is born on the way, so that more ticks
+# would only empty the arena
+MOST_MISSED = 256
+
 
 class RegionInput(NamedTuple):
     """An owner with its cell; it updates the region around the cell."""
@@ -83,6 +87,11 @@ class Belief:
         return self.stamp if self.kept_since is None else self.kept_since
 
 
+def missed_ticks(belief: Belief, step: Step) -> range:
+    """The ticks between that of a belief and that of a step, of too many the last `MOST_MISSED`."""
+    return range(max(belief.stamp + 1, step.tick - MOST_MISSED), step.tick)
+
+
 def unknown_senders(belief: Belief, table: GossipTable) -> frozenset[str]:
     """The senders in a table that the agent did not know in its last round: they have cut other diagrams, whatever hash they state."""
     return frozenset() if belief.known_names is None else table.name_set - belief.known_names - {belief.mine.owner}
@@ -129,7 +138,10 @@ class Tracker(Protocol):
         """The density that counts as weighted points, for control laws that search."""
 
     def catch_up(self, belief: Belief, step: Step) -> Belief:
-        """The belief at the tick before `step.tick`, without a claim if that round was missed. `update` predicts the rest."""
+        """The belief at the tick before `step.tick`, without a claim if that round was missed. `update` predicts the rest.
+
+        Copies move by the `missed_ticks`.
+        """
 
     def keep_claim(self, belief: Belief, step: Step, alone: RegionUpdate | None = None) -> Belief:
         """The belief at the tick before `step.tick`, of an agent that skipped rounds: it keeps its claim.

@@ -1,17 +1,21 @@
 """What an agent holds: who is the authority for a particle, what an overlap leaves, and how a sleeper catches up."""
 
+from dataclasses import replace
+from typing import Any
+
 import numpy as np
 import pytest
 
 from agents.backend import PLAIN
-from agents.config import AgentConfig, TimingSettings
+from agents.config import AgentConfig, FilterSettings, TimingSettings
 from agents.gossip.table import GossipTable, as_particles
 from agents.tracking.belief import MOST_COPIES, Copies, CopyInputs, ParticlePhd, owned_by_sender, start, worth_keeping
 from agents.tracking.claims import NO_CLAIM, make_claim
+from agents.tracking.gaussian_belief import MixturePhd
 from agents.tracking.particles import NO_PARTICLES, Particles, canonical, join, unlabelled
 from agents.tracking.phd import predict
 from agents.tracking.step import Step
-from agents.tracking.tracker import Belief, OwnedState
+from agents.tracking.tracker import MOST_MISSED, Belief, OwnedState
 from protocol.fields import pack
 from protocol.keys import order
 from protocol.messages import Gossip
@@ -20,6 +24,7 @@ from tests.agents.gossip_table import table
 
 ARENA = ArenaSettings(width=100.0, height=100.0)
 CONFIG = AgentConfig(arena=ARENA, timing=TimingSettings(overlap=3.0))
+CLOSED = AgentConfig(arena=ARENA, filter=FilterSettings(border="reflect"))
 TRACKER = ParticlePhd(PLAIN)
 HALVES = {"s1": (30.0, 50.0, 0.0), "s2": (70.0, 50.0, 0.0)}  # two generators, cut at x = 50
 
@@ -173,6 +178,23 @@ def test_a_sleeper_replays_the_motion_that_it_missed_and_claims_nothing() -> Non
         expected = predict(expected, Step(CONFIG, tick))
     assert awake.stamp == 7 and awake.mine.claim.names == ()
     assert (awake.copies.compute().states == expected.states).all() and (awake.copies.compute().weights == expected.weights).all()
+
+
+@pytest.mark.parametrize("tracker", [TRACKER, MixturePhd(PLAIN)])
+def test_of_a_long_sleep_only_the_last_ticks_are_replayed(tracker: ParticlePhd | MixturePhd) -> None:
+    """An agent may join days after the first tick: its prior is one of tick -1."""
+    asleep, day = tracker.start("s1", Step(CLOSED, 0), (40.0, 40.0, 60.0, 60.0)), 400_000
+    fields = [field for field in ("weights", "states", "means") if hasattr(copies_of(asleep), field)]
+    short, long, too_long = [
+        copies_of(tracker.catch_up(replace(asleep, stamp=stamp), Step(CLOSED, day)))
+        for stamp in (day - MOST_MISSED, day - MOST_MISSED - 1, day - 10 * MOST_MISSED)
+    ]
+    assert all((getattr(long, field) == getattr(too_long, field)).all() for field in fields)
+    assert len(long.weights) and (len(short.weights) != len(long.weights) or (short[0] != long[0]).any())
+
+
+def copies_of(belief: Belief) -> Any:
+    return belief.copies.compute() if isinstance(belief.copies, Copies) else belief.copies
 
 
 def test_who_missed_nothing_is_not_woken() -> None:

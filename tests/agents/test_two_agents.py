@@ -2,10 +2,18 @@
 
 from typing import Any
 
+import msgspec
 import pytest
 
 from agents.agent import Agent
 from agents.config import AgentConfig, TimingSettings
+from agents.gossip.inbox import WINDOW_TICKS
+from agents.gossip.table import GossipTable
+from agents.look_ahead import look_ahead
+from agents.tracking.belief import ParticlePhd
+from agents.tracking.particles import Particles
+from agents.tracking.step import Step
+from agents.tracking.tracker import Belief
 from protocol.messages import Gossip, Hello, Observation
 from protocol.node import Alive, Effect, Started, Timer, received
 from protocol.observer_messages import Estimate
@@ -85,3 +93,20 @@ def test_who_listens_is_no_generator_and_neither_is_who_has_no_token() -> None:
     assert of_kind(hear(agent, 0, 0.0, listening=True), Estimate).neighbours == ()
     see(agent, 1, 1.0)
     assert of_kind(hear(agent, 1, 1.0), Estimate).neighbours == ("s2",)
+
+
+def test_the_look_ahead_over_a_long_pause_replays_as_many_ticks_as_gossips_are_kept_of() -> None:
+    agent, merged = met(clock="realtime", look_ahead=2.0), list[int]()
+
+    class Counting(ParticlePhd):
+        def merge(self, belief: Belief, table: GossipTable, step: Step) -> GossipTable | Particles:
+            merged.append(step.tick)
+            return super().merge(belief, table, step)
+
+    own = of_kind(see(agent, 0, 0.0), Gossip)
+    hear(agent, 0, 0.0)
+    context, late = agent.context._replace(tracker=Counting(agent.context.backend)), msgspec.structs.replace(own, tick=5000)
+    found = look_ahead(agent._rounds.recent, context, agent.outcome, late, 0)
+    assert merged == [*range(5000 - WINDOW_TICKS, 5001)]
+    assert found.belief is agent.outcome.belief
+    assert agent._rounds.recent.blurred_config(5000) is agent._rounds.recent.blurred_config(6000)
