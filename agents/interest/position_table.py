@@ -89,6 +89,7 @@ class PositionTable:
                 or peer.beacon is None
                 or peer.announced is None
                 or peer.dead_until is not None
+                or peer.doubted
                 or peer.missed >= limit
                 or peer.incarnation != beacon.incarnation
                 or beacon.tick < peer.beacon.tick

@@ -30,6 +30,17 @@ class Peer:
     def __post_init__(self) -> None:
         self.rank = order(self.name)
 
+    def note_life(self, tick: int, least_silence: int, *, is_wrong: bool) -> bool:
+        """A message of `tick` has come, which lifts a doubt. Whether the peer is back: it was gone, or silent for `least_silence` rounds.
+
+        A tick that `is_wrong`, as it lies far ahead, ends no silence and brings nobody back.
+        """
+        self.doubted, was_gone = False, self.dead_until is not None and tick > self.dead_until
+        if is_wrong or not (was_gone or self.missed >= least_silence):
+            return False
+        self.dead_until, self.missed = None if was_gone else self.dead_until, 0
+        return True
+
 
 def with_peer(peers: dict[str, Peer], peer: Peer) -> dict[str, Peer]:
     """These peers, which are in the order of names, with another one or its new record."""

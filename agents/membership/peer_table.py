@@ -194,10 +194,9 @@ class PeerTable:
             return "dead"
         if not plausible(gossip, peer.announced, self._config.arena):
             return "implausible"
-        peer.doubted = False
-        if (peer.missed or peer.dead_until is not None) and not self.inbox.is_far_ahead(tick):  # a wrong tick ends no silence
-            self.selection_outdated |= peer.dead_until is not None
-            peer.missed, peer.dead_until = 0, None
+        was_gone = peer.dead_until is not None
+        if peer.note_life(tick, 1, is_wrong=self.inbox.is_far_ahead(tick)):
+            self.selection_outdated |= was_gone
         return ACCEPTED
 
     def fresh(self, tick: int) -> dict[str, Gossip]:
@@ -352,15 +351,14 @@ class PeerTable:
             self.positions.remove(peer.name)
         if peer.announced is None or peer.beacon is None or not announce_alike(beacon, peer.beacon):  # the newest beacon counts
             peer.announced = announced_by(beacon, self._config) or peer.announced
-        back = peer.dead_until is not None and beacon.tick > peer.dead_until + 1  # a beacon states the position of the next tick
-        silent = peer.missed >= self._silence_limit
-        if back or silent:
-            peer.dead_until, peer.missed, self.selection_outdated = None if back else peer.dead_until, 0, True
+        tick = beacon.tick - 1  # a beacon states the position of the next tick
+        is_back = peer.note_life(tick, self._silence_limit, is_wrong=self.inbox.is_far_ahead(tick))
+        self.selection_outdated |= is_back
         is_first, peer.beacon = peer.beacon is None, beacon
         if is_first and peer is known:  # its token came before
             self.selection_outdated |= self.positions.matters(beacon)
         self.positions.note(peer, beacon)
-        return back or silent or is_first
+        return is_back or is_first
 
     def forget_outside(self, since: int, until: int) -> bool:
         """Forget the peers without a beacon or gossip of the ticks from `since` to `until`; whether there was one."""

@@ -170,3 +170,25 @@ def test_after_a_beacon_of_a_tick_far_ahead_the_next_right_one_counts() -> None:
     assert eyes(found) == {"s2": 11.0, "s3": 20.0}
     found.take_beacon(beacon("s2", 0, 10.0))
     assert eyes(found)["s2"] == 11.0
+
+
+def said(found: PeerTable, *beacons: Beacon) -> list[bool]:
+    """What the agent makes of beacons as they come."""
+    return [found.take_beacon(strange) for strange in found.positions.note_all([*beacons], found.peers)]
+
+
+def test_a_beacon_lifts_a_doubt_as_a_gossip_does() -> None:
+    found = peers()
+    for name in ("s2", "s3"):
+        found.alive(name, 1)
+        found.gone(name, 1, 5, doubted=True)
+    said(found, beacon("s2", 8, 10.0))
+    assert not found.peers["s2"].doubted and found.peers["s3"].doubted
+
+
+def test_a_beacon_of_a_tick_far_ahead_brings_nobody_back_who_has_gone() -> None:
+    found = peers()
+    found.close(4)
+    found.gone("s2", 1, 5)
+    assert said(found, beacon("s2", 10**6, 10.0)) == [False] and found.peers["s2"].dead_until == 6
+    assert said(found, beacon("s2", 8, 10.0)) == [True] and found.peers["s2"].dead_until is None
