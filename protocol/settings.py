@@ -16,12 +16,15 @@ from typing import Annotated, Any, Literal, TypeVar, get_args, get_origin, get_t
 
 import msgspec
 
-from protocol.fields import Name
+from protocol.fields import LARGEST_NUMBER, Name
 from protocol.measuring import MeasurementModel
 from protocol.sensing import LEAST_RADIUS, SENSOR_CLASSES, SensorModel, WedgeSensor
 
 Positive = Annotated[float, msgspec.Meta(gt=0.0, le=1.0e9)]
 NotNegative = Annotated[float, msgspec.Meta(ge=0.0, le=1.0e9)]
+# what goes into messages, within their limits: a place in the arena plus the reach of a sensor is a coordinate, and so is the way of 10 s
+Length = Annotated[float, msgspec.Meta(gt=0.0, le=LARGEST_NUMBER / 2)]
+Rate = Annotated[float, msgspec.Meta(ge=0.0, le=LARGEST_NUMBER / 100)]
 Seed = Annotated[int, msgspec.Meta(ge=0, le=2**63 - 1)]
 Fraction = Annotated[float, msgspec.Meta(ge=0.0, le=1.0)]
 
@@ -68,8 +71,8 @@ class RunSettings(Section, frozen=True, kw_only=True):
 class ArenaSettings(Section, frozen=True, kw_only=True):
     """[arena] the rectangle from (0, 0) to (width, height), m."""
 
-    width: Positive = 100.0
-    height: Positive = 100.0
+    width: Length = 100.0
+    height: Length = 100.0
 
 
 class DetectionSettings(Section, frozen=True, kw_only=True):
@@ -82,8 +85,8 @@ class DetectionSettings(Section, frozen=True, kw_only=True):
 class LimitSettings(Section, frozen=True, kw_only=True):
     """[limits] of every body (paper, section IV)."""
 
-    speed: Annotated[float, msgspec.Meta(ge=0.0, le=1.0e4)] = 2.0  # m/s
-    turn_rate: NotNegative = 5.0  # rad/s
+    speed: Rate = 2.0  # m/s
+    turn_rate: Rate = 5.0  # rad/s
     radius: Annotated[float, msgspec.Meta(ge=0.0, le=100.0)] = 0.0  # of every body, m; agents keep bodies apart. 0 = points that may meet
 
 
@@ -94,7 +97,7 @@ class SensorSettings(Section, frozen=True, kw_only=True):
     """
 
     angle: Annotated[float, msgspec.Meta(ge=1.0e-4, le=360.0)] | None = None  # viewing angle, degrees
-    radius: Annotated[float, msgspec.Meta(ge=LEAST_RADIUS, le=5.0e5)] | None = None  # m
+    radius: Annotated[float, msgspec.Meta(ge=LEAST_RADIUS, le=LARGEST_NUMBER / 2)] | None = None  # m
     prob_detection: Annotated[float, msgspec.Meta(gt=0.0, le=1.0)] | None = None  # at the sensor; else that of the paper, or 1
     prob_detection_far: Annotated[float, msgspec.Meta(gt=0.0, le=1.0)] | None = None  # at the radius, linear between; else no fall
     measures: Literal["position", "range-bearing", "bearing"] = "position"  # of a wedge; positions have the noise of [detection]

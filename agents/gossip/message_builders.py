@@ -6,7 +6,7 @@ from typing import Any
 from agents.coverage.capacity import to_world
 from agents.coverage.control import ControlInput
 from agents.round import AgentContext, RoundResult
-from protocol.fields import pack
+from protocol.fields import LARGEST_NUMBER, pack
 from protocol.message import SharedSettings, Vector
 from protocol.messages import UNKNOWN_AGE, Command, Gossip, Hello, Observation
 from protocol.observer_messages import Estimate
@@ -50,7 +50,9 @@ def gossip(
     owned = outcome.belief.mine
     current = outcome.belief.stamp == observation.tick - 1 - behind
     said = context.tracker.gossip_fields(owned, context.config.filter) if current else {}
-    plan: dict[str, Any] = {} if outcome.intent is None else {"goal": outcome.intent.goal, "goal_utilisation": outcome.intent.utilisation}
+    plan: dict[str, Any] = {}
+    if outcome.intent is not None:  # of a sensor that can hold hardly anything, the utilisation has no limit
+        plan = {"goal": outcome.intent.goal, "goal_utilisation": min(outcome.intent.utilisation, LARGEST_NUMBER)}
     return Gossip(
         sender=context.name,
         incarnation=incarnation,

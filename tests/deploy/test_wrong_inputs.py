@@ -69,7 +69,7 @@ TYPED = [
         2,
         "targets.count = 3000: 1500 for each of 2 agents; should be at most 300",
     ),
-    ("simulate quick --set arena.width=1e9", 2, "arena.width = 1000000000.0, arena.height = 25.0: a prior of"),
+    ("simulate quick --set arena.width=5e5", 2, "arena.width = 500000.0, arena.height = 25.0: a prior of"),
     ("simulate quick --set arena.width=1e4 --set arena.height=1e4", 2, "should be at most 3.3e+06 m^2"),
     ("simulate quick --loss nan", 2, "--loss nan: should be a share"),
     ("simulate quick --delay -1", 2, "--delay -1.0: should be a number of seconds"),

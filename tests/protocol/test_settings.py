@@ -76,7 +76,7 @@ WRONG = [
     ({"run": 3}, "run = 3: should be a table, got a whole number"),
     ({"rum": {}}, "rum: there is no such field; did you mean run?"),
     ({"zzz": {}}, "zzz: there is no such field; known are run, arena, detection, limits, network, sensors, members, listed"),
-    ({"arena": {"width": math.inf}}, "arena.width = inf: should be a number <= 1000000000.0"),
+    ({"arena": {"width": math.inf}}, "arena.width = inf: should be a number <= 500000.0"),
     ({"arena": {"height": -4.0}}, "arena.height = -4.0: should be a number > 0.0"),
     ({"detection": {"clutter": -0.1}}, "detection.clutter = -0.1: should be a number >= 0.0"),
     ({"network": {"listen": "tcp/x"}}, "network.listen = 'tcp/x': should be a list, got a text"),
