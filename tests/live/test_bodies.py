@@ -240,7 +240,7 @@ def test_a_platform_that_fails_ends_its_own_body_with_one_line_and_the_others_go
 def test_bad_input_is_refused_in_one_line(covey: Covey) -> None:
     (covey.folder / "robots.py").write_text(PLATFORMS.format(pose="5.0", stop=""))
     for words, complaint in [
-        (("--set", "bodies.platform=robots:Walker"), "bodies.platform = 'robots:Walker': has no method stop"),
+        (("--set", "bodies.platform=robots:Walker"), "bodies.platform = 'robots:Walker': robots:Walker: the class has no method stop"),
         (("--set", f"bodies.epoch={time.time() + 7200.0}"), "s ahead of this machine's clock"),
         (("--lockstep", "--set", "bodies.epoch=1.0"), "lockstep has no clock"),
     ]:
