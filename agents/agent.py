@@ -147,8 +147,8 @@ class Agent(Node):
         return min([time for time in times if time is not None], default=None)
 
     def _on_observation(self, observation: Observation, now: float) -> list[Effect]:
-        """Close a round that is still open, and open that of the observation. An old observation is counted and ignored."""
-        if observation.incarnation < self.membership.world_incarnation or observation.tick <= self._newest_tick:
+        """Close a round that is open, and open that of the observation. One that is old, or of a tick after the run, is only counted."""
+        if observation.incarnation < self.membership.world_incarnation or not self._newest_tick < observation.tick < self.config.run.ticks:
             self.counters["rejected.old_observation"] += 1
             return []
         self.membership.world_incarnation = observation.incarnation

@@ -7,13 +7,13 @@ agent when a younger incarnation of its name appears.
 from collections import Counter
 
 from agents.gossip import message_builders
-from agents.membership.agreement import SettingsAgreement
+from agents.membership.agreement import MOST_WARNINGS, SettingsAgreement
 from agents.membership.announcements import AnnouncementSchedule
 from agents.membership.body_tokens import BodyTokens
 from agents.membership.peer_table import PeerTable
 from agents.round import AgentContext
 from protocol.messages import Hello
-from protocol.node import NO_EFFECTS, Alive, Batch, Effect, Gone, Reopen, Stop
+from protocol.node import NO_EFFECTS, Alive, Batch, Effect, Gone, Reopen, Stop, Warn
 from protocol.session_watchdog import SessionWatchdog
 
 EXIT_FENCED = 3
@@ -29,6 +29,7 @@ class Membership:
         self.announcements = AnnouncementSchedule(0 if local else len(others), peer_table.is_roster_alive)
         self.agreement = SettingsAgreement(context.name, peer_table.settings, counters)
         self.world_incarnation = 0
+        self._warned: set[tuple[str, int]] = set()  # names and incarnations of older peers
         self._context, self._incarnation, self._peer_table, self._counters = context, incarnation, peer_table, counters
         self._bodies = BodyTokens(peer_table)
 
@@ -43,9 +44,20 @@ class Membership:
             self._bodies.agent_replaced(event.name, event.incarnation)
             self.session_watchdog.token_appeared(event.name, event.incarnation)
             self._peer_table.alive(event.name, event.incarnation)
+        warnings = self._warn_of_older(event.name, event.incarnation) if event.role == "agent" else []
         if event.role != "agent" or not self._peer_table.local:
             self.announcements.peer_appeared(len(self._peer_table.peers), now)
-        return []
+        return warnings
+
+    def _warn_of_older(self, name: str, incarnation: int) -> list[Effect]:
+        """A warning, the first time that a peer is refused for good: its former process, which has gone, had a larger incarnation."""
+        peer = self._peer_table.peers.get(name)
+        is_refused = peer is not None and incarnation < peer.incarnation and not (peer.token or peer.doubted)
+        if peer is None or not is_refused or (name, incarnation) in self._warned or len(self._warned) >= MOST_WARNINGS:
+            return []
+        self._warned.add((name, incarnation))
+        text = f"{name} is refused: its incarnation {incarnation} is smaller than {peer.incarnation}, that of its former process"
+        return [Warn(f"{text}. Set the clock of its machine, or start it with --incarnation {peer.incarnation + 1}")]
 
     def gone(self, event: Gone, tick: int, *, doubted: bool) -> bool:
         """A token has vanished in the round `tick`; whether its agent counts as gone now. `doubted`: this agent was late itself."""
@@ -79,7 +91,7 @@ class Membership:
         warnings = self.agreement.refuse([hello]) if self.agreement.differs(hello) else []
         if reason and reason != "settings":
             self._counters[f"rejected.{reason}"] += 1
-            return warnings
+            return [*warnings, *self._warn_of_older(hello.sender, hello.incarnation)]
         is_new = self.session_watchdog.note_hello(hello.sender, now)
         # a Hello sent when the token of a world appeared can be lost, because the world may not have subscribed yet
         is_restarted_world = hello.role == "world" and 0 < self.world_incarnation < hello.incarnation

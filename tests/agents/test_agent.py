@@ -15,7 +15,7 @@ from protocol.fields import pack
 from protocol.measuring import MeasurementModel
 from protocol.message import Message
 from protocol.messages import Beacon, Command, Gossip, Hello, Observation
-from protocol.node import NO_EFFECTS, Alive, Effect, Gone, Received, Rejected, Started, Stop, Subscribe, Timer, Warn, received
+from protocol.node import NO_EFFECTS, Alive, Effect, Event, Gone, Received, Rejected, Started, Stop, Subscribe, Timer, Warn, received
 from protocol.observer_messages import Estimate
 from protocol.sensing import SENSOR_CLASSES, WedgeSensor
 from protocol.settings import ArenaSettings, BadSetting, LimitSettings, RunSettings
@@ -178,6 +178,28 @@ def test_an_old_observation_and_an_old_world_change_nothing() -> None:
     assert agent.handle(see(5, incarnation=2), 1.1) == [] and agent.handle(see(4, incarnation=2), 1.1) == []
     assert agent.handle(see(9, incarnation=1), 1.1) == []
     assert agent.counters["rejected.old_observation"] == 3 and agent.tick == 5
+
+
+def test_an_observation_of_a_tick_after_the_run_blinds_nobody() -> None:
+    agent = met()
+    agent.handle(see(0), 1.0)
+    assert agent.handle(see(CONFIG.run.ticks), 1.1) == []
+    agent.handle(see(1), 1.5)
+    assert agent.tick == 1 and agent.counters["rejected.old_observation"] == 1
+
+
+@pytest.mark.parametrize("goes_first", [True, False])
+@pytest.mark.parametrize("shows", [Alive("agent", "s2", 900), hello(incarnation=900)])
+def test_a_peer_that_restarts_with_an_earlier_clock_is_named_once_with_the_remedy(goes_first: bool, shows: Event) -> None:
+    agent = Agent(CONFIG, "s1")
+    agent.handle(Alive("agent", "s2", 1000), 0.0)
+    first = [] if goes_first else agent.handle(shows, 0.1)
+    agent.handle(Gone("agent", "s2", 1000), 0.2)
+    said = [*agent.handle(shows, 0.3), *agent.handle(shows, 0.4)]
+    warnings = [effect.text for effect in said if isinstance(effect, Warn)]
+    assert not any(isinstance(effect, Warn) for effect in first)  # an older process that is about to end
+    assert len(warnings) == 1 and "s2 is refused: its incarnation 900 is smaller than 1000" in warnings[0]
+    assert warnings[0].endswith("--incarnation 1001")
 
 
 @pytest.mark.parametrize(("kind", "radius"), [("gaussian-mixture", 10.0), ("particles", 1.0e6)])
