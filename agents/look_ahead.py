@@ -21,6 +21,7 @@ import numpy as np
 
 from agents.config import AgentConfig
 from agents.gossip.inbox import WINDOW_TICKS
+from agents.gossip.message_builders import without_scan
 from agents.gossip.table import AnnouncedSensor, GossipTable, gossip_table
 from agents.round import AgentContext, RoundCell, RoundResult, result_of
 from agents.tracking.claims import NO_CLAIM
@@ -96,7 +97,7 @@ class GossipHistory:
     def own_gossip(self, tick: int, nearest: Gossip) -> Gossip:
         """The own gossip of a tick; without one the `nearest` without its scan, for the agent was skipped by that tick."""
         found = self._said.get(tick, {}).get(self._context.name)
-        return found[0] if found else msgspec.structs.replace(nearest, tick=tick, scanned=False, detections_bytes=b"")
+        return found[0] if found else without_scan(nearest, tick)
 
     def put_own(self, gossip: Gossip) -> None:
         """Keep an own gossip."""

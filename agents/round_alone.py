@@ -8,10 +8,9 @@ its next gossip. What it computes early for a shared tick only gives its estimat
 
 import dataclasses
 
-from msgspec.structs import replace
-
 from agents.config import AgentConfig
 from agents.coverage.capacity import to_world
+from agents.gossip.message_builders import without_scan
 from agents.gossip.table import gossip_table
 from agents.round import AgentContext, RoundCell, RoundResult, result_of
 from agents.tracking.step import Step
@@ -49,7 +48,7 @@ def predict_missed_ticks(context: AgentContext, last: RoundResult, own: Gossip, 
     """
     if pace == 1 or last.round_cell is None:
         return dataclasses.replace(last, belief=context.tracker.keep_claim(last.belief, Step(context.config, own.tick)))
-    return update_without_gossips(context, last, replace(own, tick=own.tick - 1, scanned=False, detections_bytes=b""), ticks=0)
+    return update_without_gossips(context, last, without_scan(own, own.tick - 1), ticks=0)
 
 
 def update_without_gossips(context: AgentContext, last: RoundResult, own: Gossip, ticks: int) -> RoundResult:
@@ -61,7 +60,7 @@ def update_without_gossips(context: AgentContext, last: RoundResult, own: Gossip
     assert round_cell is not None
     density, region = last.density, round_cell.region._replace(row=0, pose=own.pose)
     for tick in range(stamp + 1, own.tick + 1):
-        said = own if tick == own.tick else replace(own, tick=tick, scanned=False, detections_bytes=b"")
+        said = own if tick == own.tick else without_scan(own, tick)
         table, step = gossip_table([said], [context.announced], context.config), Step(context.config, tick)
         before, update = density, tracker.update(density, table, [region], step)[0]
         density = update.updated

@@ -3,6 +3,8 @@
 from collections.abc import Mapping
 from typing import Any
 
+import msgspec
+
 from agents.coverage.capacity import to_world
 from agents.coverage.control import ControlInput
 from agents.round import AgentContext, RoundResult
@@ -75,6 +77,11 @@ def gossip(
         **said,
         **plan,
     )
+
+
+def without_scan(gossip: Gossip, tick: int) -> Gossip:
+    """The gossip as it would be at a tick of which the agent saw nothing."""
+    return msgspec.structs.replace(gossip, tick=tick, scanned=False, detections_bytes=b"")
 
 
 def _claim_ages(outcome: RoundResult) -> bytes:
