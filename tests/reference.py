@@ -118,7 +118,8 @@ print(run)
 print(run.ospa.mean(), run.poses.shape)  # numpy arrays, one row for each tick; to_pandas() and to_arrow() give tables
 ```
 
-What is simulated is what the command simulates. A setting that is wrong raises `BadSetting`, a ValueError of one line.
+What is simulated is what the command simulates. A setting or an argument that is wrong raises `BadSetting`, a ValueError of one line.
+Numbers of numpy are taken.
 [The notebook](../tutorial/notebook.ipynb) shows it with figures. In a checkout `.venv/bin/python` finds `covey`.
 """
     return "\n".join([head, *(part for name in covey.__all__ if name != "__version__" for part in _public(name))])
