@@ -87,21 +87,11 @@ def writing(option: str, path: Path) -> Iterator[None]:
 
 @contextlib.contextmanager
 def replacing(option: str, path: Path) -> Iterator[Path]:
-    """A file beside `path` to write to; it takes the place of `path` once all is written. Else `path` stays as it was.
+    """A file to write to, that becomes `path` once all is written (`whole_file`); raises BadSetting naming the option."""
+    from deploy.storage.whole_file import whole_file  # a command that fails early needs none
 
-    What is there and no file, such as a pipe, is written to itself.
-    """
-    if path.exists() and not path.is_file():
-        with writing(option, path):
-            yield path
-        return
-    new = path.with_name(f"new.{path.name}")
-    with writing(option, path):
-        try:
-            yield new
-            new.replace(path)
-        finally:
-            new.unlink(missing_ok=True)
+    with writing(option, path), whole_file(path) as new:
+        yield new
 
 
 def complain(text: str, code: int) -> int:

@@ -22,6 +22,7 @@ from deploy.scoring.result import Result
 from deploy.scoring.scores import write_scores
 from deploy.simulation import Simulation, compile_once
 from deploy.storage.kept_runs import link_latest, new_run_directory
+from deploy.storage.whole_file import write_whole
 from protocol.observer_messages import Truth
 
 
@@ -57,7 +58,7 @@ def simulate_here(
     link_latest(directory)
     result, series = _play(simulation, scenario, clock)
     try:
-        directory.result.write_text(result.to_json() + "\n", encoding="utf-8")
+        write_whole(directory.result, f"{result.to_json()}\n".encode())
         write_scores(directory.scores, simulation.scorer.scores)
     except OSError as error:
         complain(f"{directory.result}: {error.strerror}; the result is not kept", FAILED)

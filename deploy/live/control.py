@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from deploy.storage.run_directory import RunDirectory
+from deploy.storage.whole_file import write_whole
 from protocol.settings import BadSetting
 
 Answer = dict[str, Any]
@@ -40,7 +41,7 @@ class ControlServer:
         self._path = self._directory.socket_path()
         self._path.unlink(missing_ok=True)
         self._server = await asyncio.start_unix_server(self._serve, str(self._path), limit=MOST_LINE)
-        self._directory.control.write_text(json.dumps({"socket": str(self._path), "pid": os.getpid()}) + "\n", encoding="utf-8")
+        write_whole(self._directory.control, json.dumps({"socket": str(self._path), "pid": os.getpid()}).encode() + b"\n")
 
     async def close(self) -> None:
         """Stop to listen and remove the socket."""

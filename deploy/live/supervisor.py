@@ -27,6 +27,7 @@ from deploy.scoring.scorer import Scorer, Status
 from deploy.scoring.scores import write_scores
 from deploy.storage.kept_runs import link_latest
 from deploy.storage.run_directory import RunDirectory
+from deploy.storage.whole_file import write_whole
 from protocol.codec import encode
 from protocol.endpoints import check_endpoints
 from protocol.link_faults import as_line
@@ -210,7 +211,7 @@ class Supervisor:
         result = self.scorer.result(now - (self._first_truth_at or now))
         self.result = msgspec.structs.replace(result, exit_code=code, tick_rate=self.scorer.tick_rate.whole())
         try:
-            self.directory.result.write_text(self.result.to_json() + "\n", encoding="utf-8")
+            write_whole(self.directory.result, f"{self.result.to_json()}\n".encode())
         except OSError as error:
             self._tell(f"{self.directory.result}: {error.strerror}; the result is not kept")
 
@@ -264,10 +265,9 @@ class Supervisor:
         log.info("%s ended: %s", child.name, child.end(), extra={"tick": self.scorer.truth.tick if self.scorer.truth else None})
         rest = [other for other in self.children.values() if child.room == other.room == "world" and other is not child]
         was_last = child.room == "world" and not any(other.is_running or not other.has_started for other in rest)
-        if was_last and child.returncode == 0:
-            self._end(0)
-            return
-        if child.body_of and child.returncode == 0:
+        if child.returncode == 0 and (was_last or child.body_of):
+            if was_last:
+                self._end(0)
             return
         if (child.returncode == EXIT_BAD_INPUT and not self._others_of_the_world(child)) or (
             self.scorer.truth is None and child.returncode == 1
@@ -421,7 +421,7 @@ class Supervisor:
         """End a process if it runs, and start its next incarnation; raises OSError."""
         truth = self.scorer.truth if child.room == "world" else None
         if truth is not None:
-            self.directory.truth.write_bytes(encode(truth))
+            write_whole(self.directory.truth, encode(truth))
         if child.process is not None:
             child.process.kill()
             child.process.wait()

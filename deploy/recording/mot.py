@@ -15,6 +15,7 @@ from pathlib import Path
 from deploy.recording.recording import Recording
 from deploy.recording.rescore import rescore
 from deploy.scenario import Scenario
+from deploy.storage.whole_file import write_whole
 
 SIDES = 2.0
 UNKNOWN = -1
@@ -56,5 +57,5 @@ def _about(recording: Recording, frames: int) -> list[str]:
 
 def _written(file: Path, lines: Iterable[str]) -> Path:
     file.parent.mkdir(parents=True, exist_ok=True)
-    file.write_text("".join(f"{line}\n" for line in lines), encoding="utf-8")
+    write_whole(file, "".join(f"{line}\n" for line in lines).encode())
     return file

@@ -17,6 +17,7 @@ from deploy.recording.rescore import rescore_slowly
 from deploy.scenario import Scenario
 from deploy.scoring.scorer import Scorer
 from deploy.scoring.scores import COLUMNS
+from deploy.storage.whole_file import whole_file
 from protocol.geometry import polygon_area
 from protocol.measuring import to_places
 from protocol.messages import Gossip, Hello
@@ -116,9 +117,10 @@ def write_tables(recording: Recording, folder: Path, form: str) -> list[Path]:
     folder.mkdir(parents=True, exist_ok=True)
     for name, table in found.items():
         file = folder / f"{name}.{form}"
-        if form == "csv":
-            csv.write_csv(table, file)
-        else:
-            parquet.write_table(table, file)
+        with whole_file(file) as new:
+            if form == "csv":
+                csv.write_csv(table, new)
+            else:
+                parquet.write_table(table, new)
         files.append(file)
     return files

@@ -15,6 +15,7 @@ import numpy as np
 from deploy.installation import need_study_packages
 from deploy.scoring.result import Result
 from deploy.simulation import Simulation
+from deploy.storage.whole_file import whole_file
 from protocol.observer_messages import Truth
 from protocol.settings import BadSetting
 
@@ -52,7 +53,8 @@ class Trace:
     def write(self, path: Path, result: Result) -> None:
         """Write everything; raises BadSetting naming the file when it cannot be written."""
         try:
-            self._write(path, result)
+            with whole_file(path) as new:
+                self._write(new, result)
         except OSError as error:
             raise BadSetting(f"--trace {path}: {error.strerror or error}") from None
 

@@ -12,6 +12,7 @@ import numpy as np
 import shapely
 
 from deploy.scenario import Scenario
+from deploy.storage.whole_file import whole_file
 from protocol.geometry import total_area
 from protocol.observer_messages import Truth
 from protocol.sensing import SensorModel
@@ -48,7 +49,7 @@ COLUMNS = Score.__dataclass_fields__.keys()
 
 def write_scores(path: Path, scores: Sequence[Score]) -> None:
     """The scores as CSV, one tick a line, every digit."""
-    with path.open("w", newline="", encoding="utf-8") as file:
+    with whole_file(path) as new, new.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
         writer.writerow(COLUMNS)
         writer.writerows([getattr(score, column) for column in COLUMNS] for score in scores)

@@ -18,6 +18,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from deploy.storage.whole_file import whole_file
 from deploy.studies.trials import Row
 from protocol.settings import BadOption, BadSetting
 
@@ -87,15 +88,10 @@ class StudyFolder:
     def publish(self, rows: Sequence[Row]) -> None:
         """Write results.csv and results.parquet; wall times are left out, so that the same study gives the same table."""
         table = [{name: value for name, value in row.items() if name not in ("wall_s", "key")} for row in rows]
-        _replace(self.csv, lambda path: _write_csv(path, table))
-        _replace(self.parquet, lambda path: _write_parquet(path, table))
-
-
-def _replace(path: Path, write: Any) -> None:
-    """Write a file beside and move it into place."""
-    beside = path.with_name(path.name + ".new")
-    write(beside)
-    beside.replace(path)
+        with whole_file(self.csv) as new:
+            _write_csv(new, table)
+        with whole_file(self.parquet) as new:
+            _write_parquet(new, table)
 
 
 def _write_csv(path: Path, rows: Sequence[Row]) -> None:
