@@ -4,11 +4,15 @@ Data types: a `ReportedTarget` is one estimate of one agent. Its label is the id
 none; every export takes the label where there is one.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
+import numpy as np
+
+from agents.tracking.labels import NO_LABEL
 from deploy.recording.moments import messages
 from deploy.recording.recording import Recording
+from deploy.scoring.tracks import UniqueLabels
 from protocol.observer_messages import Estimate, Truth
 
 
@@ -29,21 +33,26 @@ class ReportedTick(NamedTuple):
     targets: tuple[ReportedTarget, ...]
 
 
-def reported_by(estimate: Estimate) -> Iterator[ReportedTarget]:
-    """The targets in an estimate."""
-    for number, ((x, y), label) in enumerate(zip(estimate.targets.tolist(), estimate.labels.tolist())):
-        yield ReportedTarget(x, y, estimate.sender, number, label or None)
-
-
 def reported_ticks(recording: Recording) -> Iterator[ReportedTick]:
     """Every tick with the estimates that belong to it, in the order of ticks; a tick without its truth is left out."""
     truths: dict[int, Truth] = {}
-    targets: dict[int, dict[str, tuple[ReportedTarget, ...]]] = {}
+    estimates: dict[int, dict[str, Estimate]] = {}
     for message in messages(recording):
         if isinstance(message, Truth):
             truths.setdefault(message.tick, message)
         elif isinstance(message, Estimate):
-            targets.setdefault(message.tick, {})[message.sender] = tuple(reported_by(message))
+            estimates.setdefault(message.tick, {})[message.sender] = message
+    names = UniqueLabels()
     for tick in sorted(truths):
-        found = targets.get(tick, {})
-        yield ReportedTick(truths[tick], tuple(target for name in sorted(found) for target in found[name]))
+        found = estimates.get(tick, {})
+        yield ReportedTick(truths[tick], tuple(_reported_by([found[name] for name in sorted(found)], names)))
+
+
+def _reported_by(estimates: Sequence[Estimate], names: UniqueLabels) -> Iterator[ReportedTarget]:
+    """The targets in the estimates of a tick. Of one label one target has it, and others get labels that derive from it."""
+    labels = [label for estimate in estimates for label in estimate.labels.tolist()]
+    existence = [value for estimate in estimates for value in estimate.details[:, 5].tolist()]
+    places = np.concatenate([np.empty((0, 2)), *(estimate.targets for estimate in estimates)])
+    whose = [(estimate.sender, number) for estimate in estimates for number in range(len(estimate.targets))]
+    for (agent, number), label, given, (x, y) in zip(whose, labels, names.of(labels, existence, places).tolist(), places.tolist()):
+        yield ReportedTarget(x, y, agent, number, given if label != NO_LABEL else None)

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import shapely
 
+from agents.tracking.labels import derived_label
 from deploy.cli import recordings
 from deploy.recording.geographic import earth_of, write_cot, write_geojson
 from deploy.recording.mot import write_mot
@@ -18,8 +19,9 @@ from deploy.recording.rescore import rescore
 from deploy.scenario import resolve
 from deploy.simulation import Simulation
 from protocol import codec
+from protocol.fields import pack
 from protocol.node import Alive, received
-from protocol.observer_messages import Truth
+from protocol.observer_messages import Estimate, Truth
 from protocol.settings import BadSetting
 from world.recorded.local_frame import LocalFrame
 from world.track_score import similarity
@@ -215,6 +217,32 @@ def test_without_being_told_the_run_began_when_the_time_of_its_first_truth_was_z
         recorder.see(received(truth, payloads=[codec.encode(truth)]), 0.0)
     recorder.close()
     assert earth_of(Recording(tmp_path / "a.mcap"), ORIGIN, None).began.timestamp() - 1.5e9 == pytest.approx(began)
+
+
+def test_of_two_agents_that_report_one_label_in_a_tick_each_has_a_label_of_its_own_in_every_export(tmp_path: Path) -> None:
+    scenario = resolve("quick", {"run.name": "seen", "run.clock": "lockstep"})
+    recorder = Recorder(tmp_path / "a.mcap", scenario, None)
+    recorder.see(received(truth := Truth(sender="world", incarnation=1, tick=0, time=0.0), payloads=[codec.encode(truth)]), 0.0)
+    for name, place in (("s1", (1.0, 2.0)), ("s2", (7.0, 8.0))):
+        said = Estimate(
+            sender=name,
+            incarnation=1,
+            tick=0,
+            pose=(0.0, 0.0, 0.0),
+            cod=(0.0, 0.0),
+            power_radius=1.0,
+            unused=1.0,
+            targets_bytes=pack(np.array([place]), "<f8"),
+            labels_bytes=pack(np.array([5]), "<u8"),
+        )
+        recorder.see(received(said, payloads=[codec.encode(said)]), 0.0)
+    recorder.close()
+    [tick] = reported_ticks(Recording(tmp_path / "a.mcap"))
+    assert [(one.agent, one.label) for one in tick.targets] == [("s1", 5), ("s2", derived_label(5, 1))]
+    recording = Recording(tmp_path / "a.mcap")
+    write_cot(recording, earth_of(recording, ORIGIN, BEGAN), tmp_path / "a.cot")
+    uids = [ElementTree.fromstring(line).get("uid") for line in (tmp_path / "a.cot").read_text().splitlines()]
+    assert len(uids) == len(set(uids)) == 2
 
 
 @pytest.mark.parametrize("form", ["csv", "parquet", "foxglove", "rerun", "mot", "geojson", "cot"])
