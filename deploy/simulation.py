@@ -144,6 +144,10 @@ class Simulation:
         """The record of what has been played."""
         while self.bus.step(self.bus.now):
             pass
+        return self.scored()
+
+    def scored(self) -> Result:
+        """The record of what has been scored: of a simulation that an error has ended, which cannot go on."""
         self.scorer.finish(self.bus.now)
         return self.scorer.result(time.perf_counter() - self._started, self.bus.messages, self.bus.bytes)
 

@@ -13,7 +13,7 @@ from typing import Literal
 import msgspec
 
 from deploy.cli.display import Display, show_result
-from deploy.cli.errors import FAILED, complain
+from deploy.cli.errors import BAD_INPUT, FAILED, complain
 from deploy.cli.scenario_checks import check_platform_class, fault_remarks, faults_without_effect
 from deploy.recording.observers import Observers, open_recorder, recording_path
 from deploy.recording.trace import Trace, check_trace
@@ -22,8 +22,10 @@ from deploy.scoring.result import Result
 from deploy.scoring.scores import write_scores
 from deploy.simulation import Simulation, compile_once
 from deploy.storage.kept_runs import link_latest, new_run_directory
+from deploy.storage.run_directory import RunDirectory
 from deploy.storage.whole_file import write_whole
 from protocol.observer_messages import Truth
+from protocol.settings import BadSetting
 
 
 def simulate_here(
@@ -36,8 +38,8 @@ def simulate_here(
 ) -> int:
     """Run the same nodes in this process in virtual time; the exit code.
 
-    The result is kept as a run when it is named (`requested_name`) or recorded without a file's name. Of a simulation that a signal has
-    stopped it is that of the ticks so far.
+    The result is kept as a run when it is named (`requested_name`) or recorded without a file's name. Of a simulation that a signal or
+    a wrong class of the user's has ended it is that of the ticks so far.
     """
     if trace is not None:
         check_trace(trace)
@@ -56,14 +58,24 @@ def simulate_here(
     finally:
         directory.leave_unless_begun()
     link_latest(directory)
-    result, series = _play(simulation, scenario, clock)
+    try:
+        result, series = _play(simulation, scenario, clock)
+        _keep(directory, result, simulation)
+    except BadSetting:
+        _keep(directory, msgspec.structs.replace(simulation.scored(), exit_code=BAD_INPUT), simulation)
+        raise
+    finally:
+        os.close(lock)
+    return _show(result, directory.path, as_json, path, series, trace)
+
+
+def _keep(directory: RunDirectory, result: Result, simulation: Simulation) -> None:
+    """Write the result and the scores; a disk that is full is told."""
     try:
         write_whole(directory.result, f"{result.to_json()}\n".encode())
         write_scores(directory.scores, simulation.scorer.scores)
     except OSError as error:
         complain(f"{directory.result}: {error.strerror}; the result is not kept", FAILED)
-    os.close(lock)
-    return _show(result, directory.path, as_json, path, series, trace)
 
 
 def _simulation(scenario: Scenario, clock: Literal["lockstep", "realtime"], path: Path | None) -> Simulation:

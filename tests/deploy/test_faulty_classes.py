@@ -1,5 +1,6 @@
 """Classes of a user's own that answer wrongly: each is named in one line, with what it should have returned."""
 
+import json
 import sys
 from pathlib import Path
 from typing import Any
@@ -8,6 +9,7 @@ import numpy as np
 import pytest
 
 from agents.coverage.control import approach
+from deploy.storage.kept_runs import kept_runs
 from protocol.sensing import Pose
 from tests.deploy.wrong_inputs import folder, typed
 
@@ -391,6 +393,17 @@ def test_a_class_of_the_users_own_that_answers_wrongly_is_named_in_one_line(
     complaints = [line for line in complaints if line.startswith("covey: ")]
     assert len(complaints) == 1 and part in complaints[0] and name in complaints[0], complaints
     assert found == 2
+
+
+def test_a_simulation_that_a_law_has_ended_keeps_what_was_scored_and_is_listed_as_failed(
+    folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COVEY_RUNS", str(folder / "runs"))
+    words = ["simulate", "quick", "--seconds", "3", "--run", "one", "--set", f"control.mode={__name__}:LaterLaw"]
+    assert typed(words, capsys)[0] == 2
+    [kept] = kept_runs()
+    result = json.loads((folder / "runs" / "one" / "result.json").read_text())
+    assert (kept.state, result["exit_code"]) == ("failed", 2) and 1 <= result["ticks"] <= 3
 
 
 @pytest.mark.parametrize("setting", ["sensors.X.model", "control.mode", "targets.motion"])
