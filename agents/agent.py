@@ -28,7 +28,7 @@ from agents.open_rounds import OpenRounds
 from agents.own_pose import OwnPose
 from agents.pace import Pace
 from agents.round import RoundResult, context_of, run_round
-from agents.round_alone import is_claim_valid, local_gossip, predict_missed_ticks, update_without_gossips
+from agents.round_alone import is_claim_valid, predict_missed_ticks, unsent_gossip, update_without_gossips
 from agents.tracking.extraction import forecast
 from agents.tracking.step import Step
 from protocol.keys import all_of, one_of, tokens_of
@@ -54,10 +54,10 @@ class Agent(Node):
         self.peer_table = PeerTable(config, name)
         self.tick = -1  # of the newest observation; -1: none has come
         self.context = context_of(config, name, self.sensor_class, backend)
-        self.local = self.peer_table.local
-        self.sees_all_tokens = not self.local
-        self._interest = InterestManager(self.context, self.peer_table, incarnation) if self.local else None
-        nothing = (0.0, 0.0, -1.0, -1.0) if self.local else None
+        self.neighbours_only = self.peer_table.neighbours_only
+        self.sees_all_tokens = not self.neighbours_only
+        self._interest = InterestManager(self.context, self.peer_table, incarnation) if self.neighbours_only else None
+        nothing = (0.0, 0.0, -1.0, -1.0) if self.neighbours_only else None
         self.outcome = RoundResult(self.context.tracker.start(name, Step(config, 0), nothing), self.context.announced.facts.capability)
         self.membership = Membership(self.context, incarnation, self.peer_table, self.counters)
         self._observation: Observation | None = None  # of the open tick
@@ -121,7 +121,7 @@ class Agent(Node):
 
     def _expressions(self) -> list[str]:
         """The key expressions to which the agent subscribes at the start."""
-        if not self.local:
+        if not self.neighbours_only:
             return [all_of(self.run, "hello"), all_of(self.run, "gossip")]
         return [one_of(self.run, "hello", "world"), tokens_of(self.run, "agent", self.name), tokens_of(self.run, "world", "world")]
 
@@ -147,8 +147,8 @@ class Agent(Node):
         return min([time for time in times if time is not None], default=None)
 
     def _on_observation(self, observation: Observation, now: float) -> list[Effect]:
-        """Close a round that is open, and open that of the observation. One that is old, or of a tick after the run, is only counted."""
-        if observation.incarnation < self.membership.world_incarnation or not self._newest_tick < observation.tick < self.config.run.ticks:
+        """Close a round that is still open, and open that of the observation. An old observation is counted and ignored."""
+        if observation.incarnation < self.membership.world_incarnation or observation.tick <= self._newest_tick:
             self.counters["rejected.old_observation"] += 1
             return []
         self.membership.world_incarnation = observation.incarnation
@@ -185,7 +185,7 @@ class Agent(Node):
         observations, self._gossip_free = self._gossip_free, []
         effects: list[Effect] = []
         for observation in observations:
-            own = local_gossip(self.context, self.incarnation, self.outcome, observation, self._own_pose.noise)
+            own = unsent_gossip(self.context, self.incarnation, self.outcome, observation, self._own_pose.noise)
             if is_claim_valid(self.config, self.outcome.belief, own.tick, self._pace.current):
                 steers = self._pace.has_time and observation is observations[-1]
                 ticks = self._ticks_to_last(own.tick) if steers else 0
@@ -267,7 +267,7 @@ class Agent(Node):
         """Keep the claim over ticks of which nothing was seen, as long as peers keep the generator of the silent agent."""
         all_played = self._health.is_measuring and not self._rounds
         if all_played and is_claim_valid(self.config, self.outcome.belief, self.tick - 1, self._pace.current):
-            own = local_gossip(self.context, self.incarnation, self.outcome, observation, self._own_pose.noise)
+            own = unsent_gossip(self.context, self.incarnation, self.outcome, observation, self._own_pose.noise)
             self.outcome = predict_missed_ticks(self.context, self.outcome, own, self._pace.current)
 
     def _join(self, now: float) -> list[Effect]:
@@ -288,7 +288,7 @@ class Agent(Node):
             for message in batch.messages:
                 if message.sender == self.name and message.incarnation > self.incarnation:
                     return self.membership.fence(message.incarnation)
-        if not self.local:
+        if not self.neighbours_only:
             self.membership.session_watchdog.note_messages(batch.senders, now)
         if self.tick < 0:
             self.membership.announcements.run_started()

@@ -26,7 +26,7 @@ from agents.gossip.table import AnnouncedSensor, GossipTable, gossip_table
 from agents.round import AgentContext, RoundCell, RoundResult, result_of
 from agents.tracking.claims import NO_CLAIM
 from agents.tracking.step import Step
-from agents.tracking.tracker import Belief, Diagram, RegionInput
+from agents.tracking.tracker import Belief, KnownDiagram, RegionInput
 from protocol.keys import order
 from protocol.messages import Gossip
 
@@ -153,7 +153,7 @@ def advance(context: AgentContext, density: Any, table: GossipTable, polygon: np
     row = table.names.index(context.name)
     region = RegionInput(NOBODY, row, context.sensor, table.gossips[row].pose, polygon, NO_CLAIM)
     update = context.tracker.update(density, table, [region], step)[0]
-    return context.tracker.belief_after(density, region, update, Diagram(0, frozenset(), None, np.inf), step)
+    return context.tracker.belief_after(density, region, update, KnownDiagram(0, frozenset(), None, np.inf), step)
 
 
 def _influence(step: Step) -> float:

@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from agents.backend import Backend
+from agents.batched_round import batched_round
 from agents.config import AgentConfig
 from agents.coverage.capacity import power_radius, unused_capacity
 from agents.coverage.control import STAND, ControlInput, ControlLaw, Intent, Situation, Surroundings
@@ -20,14 +21,13 @@ from agents.coverage.laws import control_law
 from agents.coverage.search_and_track import SearchAndTrack
 from agents.gossip.table import REACH, AnnouncedSensor, GossipTable, announced_sensor, gossip_table
 from agents.interest.position_table import UnsubscribedGenerators
-from agents.membership.peer_table import LOCAL_DIAGRAM, PeerTable
-from agents.shared_round import shared_round
+from agents.membership.peer_table import COMPLETE_NEIGHBOURHOOD, PeerTable
 from agents.tracking.belief import ParticlePhd
 from agents.tracking.claims import NO_CLAIM, Claim, make_claim
 from agents.tracking.extraction import NO_ESTIMATES, TargetEstimates
 from agents.tracking.gaussian_belief import MixturePhd
 from agents.tracking.step import Step
-from agents.tracking.tracker import Belief, Diagram, RegionInput, RegionUpdate, Tracker
+from agents.tracking.tracker import Belief, KnownDiagram, RegionInput, RegionUpdate, Tracker
 from protocol.geometry import EMPTY, distances, polygon_centroid, rectangle
 from protocol.keys import order
 from protocol.messages import Gossip
@@ -106,27 +106,27 @@ def run_round(
     `fresh` holds the gossips of that tick by name, in the order of names. `own` is the gossip of this agent. `replay` computes the
     density of the tick before where gossips state older ones. The command is to last some `ticks`; 0: there is none.
     """
-    step, shared = Step(context.config, own.tick), None
+    step, batched = Step(context.config, own.tick), None
     table = _with_own(context, peer_table, fresh, own)
     generator_table = _generator_table(context, peer_table, own, fresh, table)
     row = table.names.index(context.name)
     if replay is None:
         density = context.tracker.merge(context.tracker.catch_up(last.belief, step), table, step)
         if generator_table is table is density:
-            shared = shared_round(table, context.backend, context.tracker, step, context.arena)
-    if shared is not None:
-        region, update = shared.regions[row], shared.updates[row]
+            batched = batched_round(table, context.backend, context.tracker, step, context.arena)
+    if batched is not None:
+        region, update = batched.regions[row], batched.updates[row]
     else:
         polygon, claim = _own_cell(context, generator_table, peer_table.unsubscribed)
         region = RegionInput(context.name, row, context.sensor, own.pose, polygon, claim)
         if replay is not None:
             density = replay(table, polygon)
         update = context.tracker.update(density, table, [region], step)[0]
-    diagram = Diagram(
+    diagram = KnownDiagram(
         hash=_diagram_hash(peer_table, fresh, generator_table, region.claim),
         generator_names=generator_table.name_set,
-        known_names=peer_table.known_names if peer_table.local else None,
-        horizon=COPY_HORIZON if peer_table.local else math.inf,
+        known_names=peer_table.known_names if peer_table.neighbours_only else None,
+        horizon=COPY_HORIZON if peer_table.neighbours_only else math.inf,
     )
     belief = context.tracker.belief_after(density, region, update, diagram, step)
     return result_of(context, own, RoundCell(region, generator_table), update, table, density, belief, ticks)
@@ -215,12 +215,12 @@ def _generator_table(
 def _diagram_hash(peer_table: PeerTable, fresh: dict[str, Gossip], generator_table: GossipTable, claim: Claim) -> int:
     """The hash of the diagram of a round: agents with equal hashes cut the same diagram.
 
-    In a swarm that hears everybody it is a hash of all generators. With neighbours only, `LOCAL_DIAGRAM` states that all gossips of the
-    interest set came in time. Two agents with complete interest sets in the same tick agree about every generator that both know. An
+    In a swarm that hears everybody it is a hash of all generators. With neighbours only, `COMPLETE_NEIGHBOURHOOD` states that all gossips
+    of the interest set came in time. Two agents with complete interest sets in the same tick agree about every generator that both know. An
     agent with an empty cell need not be certified: unknown peers could only shrink its cell.
     """
-    if peer_table.local and (peer_table.certified or not claim.names) and len(fresh) == len(peer_table.interest_set):
-        return LOCAL_DIAGRAM if peer_table.interest_set.keys() >= set(claim.names[1:]) else generator_table.diagram_hash
+    if peer_table.neighbours_only and (peer_table.certified or not claim.names) and len(fresh) == len(peer_table.interest_set):
+        return COMPLETE_NEIGHBOURHOOD if peer_table.interest_set.keys() >= set(claim.names[1:]) else generator_table.diagram_hash
     return generator_table.diagram_hash
 
 

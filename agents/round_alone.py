@@ -19,7 +19,9 @@ from protocol.message import Vector
 from protocol.messages import Gossip, Observation
 
 
-def local_gossip(context: AgentContext, incarnation: int, last: RoundResult, observation: Observation, pose_noise: Vector | None) -> Gossip:
+def unsent_gossip(
+    context: AgentContext, incarnation: int, last: RoundResult, observation: Observation, pose_noise: Vector | None
+) -> Gossip:
     """A gossip with the pose and the scan of an observation alone, which nobody is sent."""
     return Gossip(
         sender=context.name,

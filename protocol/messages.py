@@ -81,7 +81,7 @@ class Hello(Message, frozen=True, kw_only=True, dict=True, tag="hello"):
     max_speed: Magnitude = 0.0  # m/s
     max_turn_rate: Magnitude = 0.0  # rad/s
     heard: Names = ()
-    local: bool = False  # True: the sender receives the world's Hello alone and knows its peers by their beacons
+    neighbours_only: bool = False  # True: the sender receives the world's Hello alone and knows its peers by their beacons
     settings: SharedSettings = {}  # those on which all agree; a setting that is missing is not compared
 
     @cached_attribute

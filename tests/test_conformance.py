@@ -73,7 +73,7 @@ FULL: dict[str, Message] = {
         max_speed=2.0,
         max_turn_rate=5.0,
         heard=("s2",),
-        local=True,
+        neighbours_only=True,
         settings={"arena": {"width": 40.0}, "filter": {"seed": 7, "border": "cross"}, "birth": {"background": True}},
     ),
     "beacon": Beacon(

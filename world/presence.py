@@ -104,4 +104,4 @@ class Presence:
         hello = self.hellos.get(name)
         if hello is None or self.live(name) != hello.incarnation:
             return False
-        return world in ("", *hello.heard) if hello.local else self._everybody - {name} <= set(hello.heard)
+        return world in ("", *hello.heard) if hello.neighbours_only else self._everybody - {name} <= set(hello.heard)

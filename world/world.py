@@ -145,9 +145,9 @@ class World(Node):
             return []
         if known is None or len(hello.heard) > len(known.heard):
             self._changed = now
-        if not hello.local:
+        if not hello.neighbours_only:
             self._watchdog.note_hello(hello.sender, now)
-        reason = "" if hello.local else self._watchdog.reason_to_reopen(hello, now)  # it hears nobody else's Hello
+        reason = "" if hello.neighbours_only else self._watchdog.reason_to_reopen(hello, now)  # it hears nobody else's Hello
         if reason:
             return [Reopen(reason)]
         self._embody_guest(hello.sender)

@@ -28,7 +28,7 @@ def hello(context: AgentContext, incarnation: int, heard: tuple[str, ...], setti
         max_speed=context.config.limits.speed,
         max_turn_rate=context.config.limits.turn_rate,
         heard=heard,
-        local=context.config.timing.interest == "neighbours",
+        neighbours_only=context.config.timing.interest == "neighbours",
         settings=settings,
     )
 

@@ -99,7 +99,7 @@ class GossipTable:
         """`sensors`: of the senders. `config` states the partition, which determines the generators, and the noise of detections."""
         self.gossips, self.sensors, self.config = gossips, sensors, config
         self.names = tuple([gossip.sender for gossip in gossips])
-        self.shared: Any = None  # the results that all agents with this table share (`shared_round`)
+        self.batched: Any = None  # the results for all agents of this table (`batched_round`)
 
     @cached_attribute
     def table(self) -> np.ndarray:

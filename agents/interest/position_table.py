@@ -88,7 +88,7 @@ class PositionTable:
                 peer is None
                 or peer.beacon is None
                 or peer.announced is None
-                or peer.dead_until is not None
+                or peer.gone_at is not None
                 or peer.doubted
                 or peer.missed >= limit
                 or peer.incarnation != beacon.incarnation
@@ -175,4 +175,4 @@ class PositionTable:
 
     def _has_position(self, peer: Peer) -> bool:
         """Whether a peer has a position: it has not gone, its sensor is known, and it has not been silent for long."""
-        return peer.dead_until is None and peer.announced is not None and peer.missed < self.silence_limit
+        return peer.gone_at is None and peer.announced is not None and peer.missed < self.silence_limit

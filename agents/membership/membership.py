@@ -24,9 +24,9 @@ class Membership:
 
     def __init__(self, context: AgentContext, incarnation: int, peer_table: PeerTable, counters: Counter[str]) -> None:
         """`counters`: those of the agent."""
-        others, local = context.config.others(context.name), peer_table.local
-        self.session_watchdog = SessionWatchdog(context.name, ["world"] if local else [*others, "world"])
-        self.announcements = AnnouncementSchedule(0 if local else len(others), peer_table.is_roster_alive)
+        others, neighbours_only = context.config.others(context.name), peer_table.neighbours_only
+        self.session_watchdog = SessionWatchdog(context.name, ["world"] if neighbours_only else [*others, "world"])
+        self.announcements = AnnouncementSchedule(0 if neighbours_only else len(others), peer_table.is_roster_alive)
         self.agreement = SettingsAgreement(context.name, peer_table.settings, counters)
         self.world_incarnation = 0
         self._warned: set[tuple[str, int]] = set()  # names and incarnations of older peers
@@ -45,7 +45,7 @@ class Membership:
             self.session_watchdog.token_appeared(event.name, event.incarnation)
             self._peer_table.alive(event.name, event.incarnation)
         warnings = self._warn_of_older(event.name, event.incarnation) if event.role == "agent" else []
-        if event.role != "agent" or not self._peer_table.local:
+        if event.role != "agent" or not self._peer_table.neighbours_only:
             self.announcements.peer_appeared(len(self._peer_table.peers), now)
         return warnings
 

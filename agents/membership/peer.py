@@ -20,7 +20,7 @@ class Peer:
     incarnation: int
     token: bool = False  # its liveliness token is up
     announced: AnnouncedSensor | None = None
-    dead_until: int | None = None  # gossips of later ticks were sent after its token vanished, and revive the peer
+    gone_at: int | None = None  # gossips of later ticks were sent after its token vanished, and revive the peer
     missed: int = 0  # rounds without a gossip in a row
     doubted: bool = False  # its token vanished while this agent was late itself
     beacon: Beacon | None = None  # the newest one
@@ -35,10 +35,10 @@ class Peer:
 
         A tick that `is_wrong`, as it lies far ahead, ends no silence and brings nobody back.
         """
-        self.doubted, was_gone = False, self.dead_until is not None and tick > self.dead_until
+        self.doubted, was_gone = False, self.gone_at is not None and tick > self.gone_at
         if is_wrong or not (was_gone or self.missed >= least_silence):
             return False
-        self.dead_until, self.missed = None if was_gone else self.dead_until, 0
+        self.gone_at, self.missed = None if was_gone else self.gone_at, 0
         return True
 
 
@@ -66,9 +66,11 @@ def announce_alike(one: Beacon, other: Beacon) -> bool:
     return one.sensor_class == other.sensor_class and one.sensor == other.sensor
 
 
-def all_acceptable(peers: Iterable[Peer], local: bool) -> bool:
-    """Whether every well-formed gossip of the next tick by these peers will be accepted. `local`: tokens are not seen of all peers."""
-    return all(peer.dead_until is None and not peer.missed and peer.announced is not None and (peer.token or local) for peer in peers)
+def all_acceptable(peers: Iterable[Peer], neighbours_only: bool) -> bool:
+    """Whether every well-formed gossip of the next tick by these peers will be accepted. Not all tokens are seen by `neighbours_only`."""
+    return all(
+        peer.gone_at is None and not peer.missed and peer.announced is not None and (peer.token or neighbours_only) for peer in peers
+    )
 
 
 def plausible(gossip: Gossip, announced: AnnouncedSensor, arena: ArenaSettings) -> bool:

@@ -9,8 +9,8 @@ agent was served in time count.
 A token that vanishes while this agent is late is doubted. It counts at the end of the next round in which at least twice as many peers
 are heard as are doubted. A doubt about most peers is one about this agent: those peers are treated as silent ones.
 
-With interest "all" every peer is in the interest set. With "neighbours" (`local`) beacons make peers known, and the agent subscribes to
-the gossips of those that it selects.
+With interest "all" every peer is in the interest set. With "neighbours" beacons make peers known, and the agent subscribes to the gossips
+of those that it selects.
 """
 
 import math
@@ -31,7 +31,7 @@ from protocol.messages import Beacon, Gossip, Hello
 from protocol.node import Batch
 from protocol.settings_digest import differing_settings, settings_digest
 
-LOCAL_DIAGRAM = 1  # in place of a hash: agents that hear neighbours and have complete interest sets cut parts of one diagram
+COMPLETE_NEIGHBOURHOOD = 1  # in place of a hash: agents that hear neighbours and have complete interest sets cut parts of one diagram
 ACCEPTED = ""
 OWN, UNASKED = "own", "unasked"  # reasons without a fault of the sender
 UNKNOWN_SENSOR = "unknown_sensor"
@@ -42,15 +42,15 @@ class PeerTable:
     """The peers of one agent."""
 
     def __init__(self, config: AgentConfig, name: str) -> None:
-        self.local = config.timing.interest == "neighbours"  # beacons make peers known, and the agent subscribes to some of them
-        self.peers: dict[str, Peer] = {}  # in the order of names; local: in any order
-        self.interest_set: dict[str, Peer] = {}  # the peers whose gossips are received: all in the order of names; local: chosen ones
-        self.unsubscribed = NO_GENERATORS  # local: the generators of all other peers
-        self.positions = PositionTable(config)  # local: the positions of live peers, by the newest message of each
-        self.certified = False  # local: no unknown peer can own a point that matters in this round
-        self.known_names = frozenset[str]()  # local: the peers with a known position at the last selection
-        self._version = -1  # local: of the positions at that selection
-        self.selection_outdated = False  # local: a peer has come or gone since the last selection
+        self.neighbours_only = config.timing.interest == "neighbours"
+        self.peers: dict[str, Peer] = {}  # in the order of names; neighbours only: in any order
+        self.interest_set: dict[str, Peer] = {}  # the peers whose gossips are received: all; neighbours only: chosen ones
+        self.unsubscribed = NO_GENERATORS  # neighbours only: the generators of all other peers
+        self.positions = PositionTable(config)  # neighbours only: the positions of live peers, by the newest message of each
+        self.certified = False  # neighbours only: no unknown peer can own a point that matters in this round
+        self.known_names = frozenset[str]()  # neighbours only: the peers with a known position at the last selection
+        self._version = -1  # neighbours only: of the positions at that selection
+        self.selection_outdated = False  # neighbours only: a peer has come or gone since the last selection
         self._config, self._silence_limit = config, config.ticks_of_silence  # rounds
         self._measures_pace = config.run.clock == "realtime"
         self._responsive_rounds: deque[int] = deque(maxlen=self._silence_limit)  # ticks of the last ones
@@ -63,15 +63,15 @@ class PeerTable:
         self._last_known: dict[str, Gossip] = {}  # of silent peers, with the newest generators that gossips and claims have stated
         self._all_acceptable = False  # all in the interest set are alive and missed no round, and nothing has changed since
         self._strangers = OrderedDict[str, None]()  # the peers that are not in the roster and have no token, the longest silent first
-        self._most_strangers = MAX_NAMES if self.local else MOST_STRANGERS  # local: tokens are seen of the interest set alone
+        self._most_strangers = MAX_NAMES if self.neighbours_only else MOST_STRANGERS  # the first sees few tokens
 
     def alive(self, name: str, incarnation: int) -> None:
         """A token appeared."""
         peer = self._get_or_create(name, incarnation, token=True)
         if peer:
-            self.selection_outdated |= peer.dead_until is not None
+            self.selection_outdated |= peer.gone_at is not None
             self._strangers.pop(name, None)
-            peer.token, peer.dead_until, peer.doubted = True, None, False
+            peer.token, peer.gone_at, peer.doubted = True, None, False
             if peer.beacon is not None:
                 self.positions.note(peer, peer.beacon)
 
@@ -91,7 +91,7 @@ class PeerTable:
 
     def _mark_left(self, peer: Peer, tick: int) -> None:
         """A peer has left in the round `tick`. It may have been a tick ahead, and gossips of it may still be on their way."""
-        peer.dead_until, peer.doubted = tick + 1, False
+        peer.gone_at, peer.doubted = tick + 1, False
         self.positions.remove(peer.name)
         self.selection_outdated = True
 
@@ -179,7 +179,7 @@ class PeerTable:
         if peer is None or peer.incarnation != gossip.incarnation:
             if name == self._name:
                 return OWN
-            if self.local and name not in self.interest_set:
+            if self.neighbours_only and name not in self.interest_set:
                 return UNASKED
             if name not in self.peers:
                 return UNKNOWN_SENSOR
@@ -190,11 +190,11 @@ class PeerTable:
             return "settings" if peer.differs else UNKNOWN_SENSOR
         if self.inbox.is_closed(name, tick):
             return "closed"
-        if peer.dead_until is not None and tick <= peer.dead_until:
+        if peer.gone_at is not None and tick <= peer.gone_at:
             return "dead"
         if not plausible(gossip, peer.announced, self._config.arena):
             return "implausible"
-        was_gone = peer.dead_until is not None
+        was_gone = peer.gone_at is not None
         if peer.note_life(tick, 1, is_wrong=self.inbox.is_far_ahead(tick)):
             self.selection_outdated |= was_gone
         return ACCEPTED
@@ -202,7 +202,7 @@ class PeerTable:
     def fresh(self, tick: int) -> dict[str, Gossip]:
         """The gossips of `tick` by live peers, in the order of names."""
         gossips = self.inbox.of(tick)
-        return {name: gossips[name] for name, peer in self.interest_set.items() if name in gossips and peer.dead_until is None}
+        return {name: gossips[name] for name, peer in self.interest_set.items() if name in gossips and peer.gone_at is None}
 
     def missing(self, tick: int, *, newcomer: bool = False) -> set[str]:
         """The peers whose gossip of `tick` is missing: alive, heard before, and not silent for long.
@@ -217,11 +217,11 @@ class PeerTable:
         gossips = self.inbox.of(tick)
         if self._all_acceptable:
             return self.interest_set.keys() - gossips.keys()
-        if self.local:  # a beacon of each has come lately
+        if self.neighbours_only:  # a beacon of each has come lately
             return {
                 name
                 for name, peer in self.interest_set.items()
-                if peer.dead_until is None and peer.missed < self._silence_limit and name not in gossips
+                if peer.gone_at is None and peer.missed < self._silence_limit and name not in gossips
             }
         limit = self._silence_limit
         others = [peer for name, peer in self.interest_set.items() if name not in gossips and (peer.token or peer.doubted)]
@@ -246,7 +246,7 @@ class PeerTable:
 
     def _newest_known(self, tick: int, fresh: dict[str, Gossip]) -> dict[str, Gossip]:
         """The newest gossip of each live peer that is not `fresh`; its generator is that of the newest claim that names it, if newer."""
-        live = [name for name, peer in self.interest_set.items() if peer.dead_until is None and name not in fresh]
+        live = [name for name, peer in self.interest_set.items() if peer.gone_at is None and name not in fresh]
         found = {name: gossip for name in live if (gossip := self.inbox.newest(name, tick)) is not None}
         found |= {name: known for name, known in self._last_known.items() if name in found and known.tick > found[name].tick}
         newest = [fresh.get(name) or self.inbox.newest(name, tick) for name in self.interest_set] if found else []
@@ -274,9 +274,9 @@ class PeerTable:
         complete = self.interest_set.keys() <= self.inbox.of(tick).keys()  # a gossip of who has left the set may be there as well
         if not self._all_acceptable:
             self._settle_doubts(tick, len(self.inbox.of(tick)))
-        self._all_acceptable = complete and (self._all_acceptable or all_acceptable(self.interest_set.values(), self.local))
+        self._all_acceptable = complete and (self._all_acceptable or all_acceptable(self.interest_set.values(), self.neighbours_only))
         for gossips in self.inbox.close(tick, self.interest_set.keys()):
-            if self.local:
+            if self.neighbours_only:
                 self.positions.close(gossips)
             if self._measures_pace:
                 self._note_paces(gossips.values())
@@ -293,7 +293,7 @@ class PeerTable:
     def slow_paces(self) -> list[int]:
         """The paces that peers have stated last, where they do not share every tick. Those that have left or fallen silent do not count."""
         peers = [(self.interest_set.get(name), pace) for name, pace in self._paces.items()]
-        return [pace for peer, pace in peers if peer is not None and peer.dead_until is None and peer.missed < self._silence_limit]
+        return [pace for peer, pace in peers if peer is not None and peer.gone_at is None and peer.missed < self._silence_limit]
 
     def keep_pace(self, pace: int) -> None:
         """From now on share the ticks that `pace` divides: a silence of some seconds lasts fewer rounds."""
@@ -313,7 +313,7 @@ class PeerTable:
         return [name for name, peer in self.interest_set.items() if peer.missed >= self._silence_limit]
 
     def _forget_silent(self, tick: int) -> None:
-        """local: forget the positions of silent peers that are no generators of the round after `tick`."""
+        """Neighbours only: forget the positions of silent peers that are no generators of the round after `tick`."""
         silent = [name for name in self.unheard() if name in self.positions]
         generators = self.generator_gossips(tick + 1, self.fresh(tick + 1)) if silent else {}
         for name in silent:
@@ -325,13 +325,13 @@ class PeerTable:
         return not self._all_acceptable and any(peer.missed for peer in self.interest_set.values())
 
     def is_roster_alive(self) -> bool:
-        """Whether the tokens of all others of the roster are up; local: always, as no other agent is awaited."""
+        """Whether the tokens of all others of the roster are up; neighbours only: always, as no other agent is awaited."""
         others, peers = self._others, self.peers
-        return self.local or (len(peers) >= len(others) and all(name in peers and peers[name].token for name in others))
+        return self.neighbours_only or (len(peers) >= len(others) and all(name in peers and peers[name].token for name in others))
 
     def lacks_announcements(self) -> bool:
         """Whether the sensor of a live peer is still unknown."""
-        return not self.local and any(peer.token and peer.announced is None and not peer.differs for peer in self.peers.values())
+        return not self.neighbours_only and any(peer.token and peer.announced is None and not peer.differs for peer in self.peers.values())
 
     def take_beacon(self, beacon: Beacon) -> bool:
         """Take a beacon, which states a position.
@@ -365,7 +365,7 @@ class PeerTable:
         self.positions.catch_up(self.peers, all_live=self._all_acceptable)
         old = self.positions.forget_outside(since, until)
         if len(self.peers) - len(old) > len(self.positions):
-            old += [name for name, peer in self.peers.items() if name not in self.positions and (peer.dead_until or -1) < since]
+            old += [name for name, peer in self.peers.items() if name not in self.positions and (peer.gone_at or -1) < since]
         if old:
             self._remove({*old})
         return bool(old)
@@ -419,7 +419,7 @@ class PeerTable:
         before, self.interest_set = self.interest_set, {peer.name: peer for peer in interest_set}
         if len(interest_set) < len(before) + len(added):
             self.inbox.drop_newest_closed(before.keys() - self.interest_set.keys())
-        self._all_acceptable = all_acceptable(added if self._all_acceptable else interest_set, self.local)
+        self._all_acceptable = all_acceptable(added if self._all_acceptable else interest_set, self.neighbours_only)
 
     def _get_or_create(self, name: str, incarnation: int, *, token: bool = False) -> Peer | None:
         """The record of a peer's incarnation, made if it is new; None if it is not the one that counts.
@@ -430,17 +430,17 @@ class PeerTable:
         peer = self.peers.get(name)
         younger = peer is not None and incarnation > peer.incarnation and (token or not peer.token)
         guessed = (
-            peer is not None and token and incarnation != peer.incarnation and not (peer.token or peer.doubted) and peer.dead_until is None
+            peer is not None and token and incarnation != peer.incarnation and not (peer.token or peer.doubted) and peer.gone_at is None
         )
         if peer is None or younger or guessed:
             is_new, peer = peer is None, Peer(name, incarnation)
             self.positions.remove(name)
-            if self.local:
+            if self.neighbours_only:
                 self.peers[name] = peer
             else:
                 self.peers = with_peer(self.peers, peer)
             self.selection_outdated = True
-            if not self.local or name in self.interest_set:
+            if not self.neighbours_only or name in self.interest_set:
                 self.interest_set, self._all_acceptable = with_peer(self.interest_set, peer), False
                 self.inbox.forget(name)
             if is_new and not token:

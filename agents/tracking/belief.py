@@ -26,7 +26,7 @@ from agents.tracking.phd import predict
 from agents.tracking.step import Step
 from agents.tracking.tracker import (
     Belief,
-    Diagram,
+    KnownDiagram,
     OwnedState,
     RegionInput,
     RegionUpdate,
@@ -202,7 +202,7 @@ class ParticlePhd(NamedTuple):
         return self.backend.update_regions(table, density, self.backend.background_births(step), regions, step)
 
     def belief_after(
-        self, density: GossipTable | Particles, region: RegionInput, update: RegionUpdate, diagram: Diagram, step: Step
+        self, density: GossipTable | Particles, region: RegionInput, update: RegionUpdate, diagram: KnownDiagram, step: Step
     ) -> Belief:
         """See `Tracker.belief_after`: the drawn particles are owned; the copies are computed when they are needed."""
         copies = Copies(update.updated, CopyInputs(step, self.backend, density, region.polygon, region.claim, diagram.horizon))

@@ -32,7 +32,7 @@ from agents.tracking.particles import Particles, canonical, join, select, total
 from agents.tracking.step import Step
 from agents.tracking.tracker import (
     Belief,
-    Diagram,
+    KnownDiagram,
     OwnedState,
     RegionInput,
     RegionUpdate,
@@ -150,7 +150,7 @@ class MixturePhd(NamedTuple):
         return [_region_of(corrected, peaks, region, step) for region in regions]
 
     def belief_after(
-        self, density: GossipTable | Mixture, region: RegionInput, update: RegionUpdate, diagram: Diagram, step: Step
+        self, density: GossipTable | Mixture, region: RegionInput, update: RegionUpdate, diagram: KnownDiagram, step: Step
     ) -> Belief:
         """See `Tracker.belief_after`: copies are the corrected components in the arena, outside the cell and within the horizon of it."""
         means, arena = update.updated.means, step.config.arena

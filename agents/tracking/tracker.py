@@ -38,7 +38,7 @@ class RegionInput(NamedTuple):
     claim: Claim  # the same as generators
 
 
-class Diagram(NamedTuple):
+class KnownDiagram(NamedTuple):
     """The knowledge of an agent about the diagram that its cell was cut from."""
 
     hash: int  # agents with equal hashes cut the same diagram
@@ -155,5 +155,5 @@ class Tracker(Protocol):
     def update(self, density: Any, table: GossipTable, regions: Sequence[RegionInput], step: Step) -> Sequence[RegionUpdate]:
         """For each owner the density around its cell one step later, corrected with the scans of the table, with moments and estimates."""
 
-    def belief_after(self, density: Any, region: RegionInput, update: RegionUpdate, diagram: Diagram, step: Step) -> Belief:
+    def belief_after(self, density: Any, region: RegionInput, update: RegionUpdate, diagram: KnownDiagram, step: Step) -> Belief:
         """The belief after the round: the owned state for the next gossip, and the copies of the others."""

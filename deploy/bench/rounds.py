@@ -82,7 +82,7 @@ def whole(captured: Captured) -> None:
 def lay(captured: Captured) -> None:
     """Play a round, so that all gossips lie side by side, and forget that anybody has asked for what they share."""
     whole(captured)
-    newest_table().shared = None
+    newest_table().batched = None
 
 
 def again(captured: Captured) -> None:

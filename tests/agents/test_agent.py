@@ -180,14 +180,6 @@ def test_an_old_observation_and_an_old_world_change_nothing() -> None:
     assert agent.counters["rejected.old_observation"] == 3 and agent.tick == 5
 
 
-def test_an_observation_of_a_tick_after_the_run_blinds_nobody() -> None:
-    agent = met()
-    agent.handle(see(0), 1.0)
-    assert agent.handle(see(CONFIG.run.ticks), 1.1) == []
-    agent.handle(see(1), 1.5)
-    assert agent.tick == 1 and agent.counters["rejected.old_observation"] == 1
-
-
 @pytest.mark.parametrize("goes_first", [True, False])
 @pytest.mark.parametrize("shows", [Alive("agent", "s2", 900), hello(incarnation=900)])
 def test_a_peer_that_restarts_with_an_earlier_clock_is_named_once_with_the_remedy(goes_first: bool, shows: Event) -> None:

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from agents.backend import PLAIN, Backend
+from agents.batched_round import claim_of
 from agents.config import AgentConfig, BirthSettings, FilterSettings, PartitionSettings
 from agents.coverage.cells import cut
 from agents.gossip.table import KAPPA, GossipTable
-from agents.shared_round import claim_of
 from agents.tracking.births import Scan, measurement_births
 from agents.tracking.claims import end_to_end, make_claim
 from agents.tracking.merge import merge

@@ -62,7 +62,7 @@ def test_what_all_work_out_together_changes_nothing(backend: Backend, monkeypatc
     together = transcript(backend=counted)
     assert sum(count > 1 for count in calls) > 10 and max(calls) > 5
     calls.clear()
-    monkeypatch.setattr("agents.round.shared_round", lambda *asked: None)
+    monkeypatch.setattr("agents.round.batched_round", lambda *asked: None)
     assert transcript(backend=counted) == together
     assert set(calls) == {1}
 

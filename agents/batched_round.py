@@ -17,11 +17,11 @@ from agents.tracking.claims import NO_CLAIM, Claim
 from agents.tracking.step import Step
 from agents.tracking.tracker import RegionInput, RegionUpdate, Tracker
 
-_SHARED: deque[Step] = deque(maxlen=1)  # of the last shared round: the agents that shared it will share the next one
+_BATCHED: deque[Step] = deque(maxlen=1)  # of the last batched round: the next one will be asked for as often
 ASKED = "asked"  # one agent has asked for the table
 
 
-class SharedRound(NamedTuple):
+class BatchedRound(NamedTuple):
     """The regions of all senders in a table, in its order, and their updates."""
 
     step: Step
@@ -30,31 +30,31 @@ class SharedRound(NamedTuple):
     updates: list[RegionUpdate]
 
 
-def shared_round(table: GossipTable, backend: Backend, tracker: Tracker, step: Step, arena: np.ndarray) -> SharedRound | None:
-    """The shared round of a table, computed on the second request, or on the first one if that of the tick before was shared.
+def batched_round(table: GossipTable, backend: Backend, tracker: Tracker, step: Step, arena: np.ndarray) -> BatchedRound | None:
+    """All regions of a table in one call, on the second request, or on the first one if the round of the tick before was batched.
 
     None for another first request, where agents hear neighbours only, and while a sender listens.
     """
     if step.config.timing.interest != "all" or table.listening:
         return None
-    known, table.shared = table.shared, table.shared or ASKED
-    if isinstance(known, SharedRound) and known.step.config is step.config and known.step.tick == step.tick and known.tracker == tracker:
+    known, table.batched = table.batched, table.batched or ASKED
+    if isinstance(known, BatchedRound) and known.step.config is step.config and known.step.tick == step.tick and known.tracker == tracker:
         return known
-    if known is None and not (_SHARED and _SHARED[0].config is step.config and _SHARED[0].tick == step.tick - 1):
+    if known is None and not (_BATCHED and _BATCHED[0].config is step.config and _BATCHED[0].tick == step.tick - 1):
         return None
-    _SHARED.append(step)
-    table.shared = _computed(table, backend, tracker, step, arena)
-    return table.shared
+    _BATCHED.append(step)
+    table.batched = _computed(table, backend, tracker, step, arena)
+    return table.batched
 
 
-def _computed(table: GossipTable, backend: Backend, tracker: Tracker, step: Step, arena: np.ndarray) -> SharedRound:
+def _computed(table: GossipTable, backend: Backend, tracker: Tracker, step: Step, arena: np.ndarray) -> BatchedRound:
     """All regions of a table and their updates."""
     cells = backend.cut_cells(range(len(table.names)), table.points, table.radii, arena)
     regions = [
         RegionInput(gossip.sender, row, announced.sensor, gossip.pose, cell.polygon, claim_of(cell, table.names, table.generators))
         for row, (gossip, announced, cell) in enumerate(zip(table.gossips, table.sensors, cells))
     ]
-    return SharedRound(step, tracker, regions, [*tracker.update(table, table, regions, step)])
+    return BatchedRound(step, tracker, regions, [*tracker.update(table, table, regions, step)])
 
 
 def claim_of(cell: Cell, names: tuple[str, ...], generators: np.ndarray) -> Claim:

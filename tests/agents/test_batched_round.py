@@ -3,9 +3,9 @@
 import gc
 
 from agents.backend import PLAIN
+from agents.batched_round import BatchedRound, batched_round
 from agents.config import AgentConfig, TimingSettings
 from agents.gossip.table import GossipTable
-from agents.shared_round import SharedRound, shared_round
 from agents.tracking.belief import ParticlePhd
 from agents.tracking.step import Step
 from deploy.simulation import Simulation
@@ -35,23 +35,23 @@ def words(*names: str, listening: bool = False) -> GossipTable:
     return table_of(said)
 
 
-def asked(table: GossipTable, config: AgentConfig, tick: int = 1) -> SharedRound | None:
+def asked(table: GossipTable, config: AgentConfig, tick: int = 1) -> BatchedRound | None:
     """What an agent gets that asks for what the table keeps."""
-    return shared_round(table, PLAIN, ParticlePhd(PLAIN), Step(config, tick), ARENA)
+    return batched_round(table, PLAIN, ParticlePhd(PLAIN), Step(config, tick), ARENA)
 
 
 def test_the_first_that_asks_computes_its_region_alone_and_the_others_share_all() -> None:
     table, config = words("s1", "s2", "s3"), AgentConfig()
     assert asked(table, config) is None
     shared = asked(table, config)
-    assert isinstance(shared, SharedRound) and asked(table, config) is asked(table, config) is shared
+    assert isinstance(shared, BatchedRound) and asked(table, config) is asked(table, config) is shared
     cells = PLAIN.cut_cells(range(3), table.points, table.radii, ARENA)
     assert [region.polygon.tolist() for region in shared.regions] == [cell.polygon.tolist() for cell in cells]
     assert [region.claim.names[0] for region in shared.regions] == [region.owner for region in shared.regions] == ["s1", "s2", "s3"]
     assert len(shared.updates) == 3
 
 
-def test_in_the_tick_after_a_shared_round_the_first_that_asks_computes_all_regions() -> None:
+def test_in_the_tick_after_a_batched_round_the_first_that_asks_computes_all_regions() -> None:
     config, first = AgentConfig(), words("s1", "s2")
     others = [GossipTable(first.gossips, first.sensors, first.config) for _ in range(4)]
     assert asked(first, config, 1) is None and asked(others[0], config, 2) is None
