@@ -72,7 +72,7 @@ def test_data_that_are_no_grid_of_probabilities_are_refused(text: str, tmp_path:
 
 
 def test_a_scenario_with_a_missing_grid_names_the_sensor() -> None:
-    with pytest.raises(BadSetting, match=r"sensors\.S: file = 'nowhere\.csv'"):
+    with pytest.raises(BadSetting, match=r"sensors\.S: .*SampledGrid raised ValueError: file = 'nowhere\.csv'"):
         resolve("anisotropic", {"sensors.S.parameters": {"file": "nowhere.csv", "spacing": 2.0}})
 
 
