@@ -4,13 +4,12 @@ numpy chooses another sine, exponential or matrix product where the processor ha
 a body, a target or a particle uses + - * / and square roots, which IEEE 754 rounds, and for the rest the scalar functions of `math`.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 
-def elementwise(function: Callable[..., float], first: ArrayLike, *others: ArrayLike) -> np.ndarray:
+def elementwise(function: Callable[..., float], first: np.ndarray | Sequence[float], *others: np.ndarray | Sequence[float]) -> np.ndarray:
     """What a function of `math` gives for each element of an array (or list) of any shape, or of several of one shape; 0.1 us an element.
 
     Its errors are those of the function, as `math.exp` of 1000 raises OverflowError. Arrays of different shapes raise ValueError.
