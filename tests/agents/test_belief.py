@@ -15,7 +15,7 @@ from agents.tracking.gaussian_belief import MixturePhd
 from agents.tracking.particles import NO_PARTICLES, Particles, canonical, join, unlabelled
 from agents.tracking.phd import predict
 from agents.tracking.step import Step
-from agents.tracking.tracker import MOST_MISSED, Belief, OwnedState
+from agents.tracking.tracker import Belief, OwnedState
 from protocol.fields import pack
 from protocol.keys import order
 from protocol.messages import Gossip
@@ -181,13 +181,15 @@ def test_a_sleeper_replays_the_motion_that_it_missed_and_claims_nothing() -> Non
 
 
 @pytest.mark.parametrize("tracker", [TRACKER, MixturePhd(PLAIN)])
-def test_of_a_long_sleep_only_the_last_ticks_are_replayed(tracker: ParticlePhd | MixturePhd) -> None:
+def test_of_a_long_sleep_only_the_last_ticks_are_replayed(tracker: ParticlePhd | MixturePhd, monkeypatch: pytest.MonkeyPatch) -> None:
     """An agent may join days after the first tick: its prior is one of tick -1."""
+    most = 8  # in place of 256, which take seconds
+    monkeypatch.setattr("agents.tracking.tracker.MOST_MISSED", most)
     asleep, day = tracker.start("s1", Step(CLOSED, 0), (40.0, 40.0, 60.0, 60.0)), 400_000
     fields = [field for field in ("weights", "states", "means") if hasattr(copies_of(asleep), field)]
     short, long, too_long = [
         copies_of(tracker.catch_up(replace(asleep, stamp=stamp), Step(CLOSED, day)))
-        for stamp in (day - MOST_MISSED, day - MOST_MISSED - 1, day - 10 * MOST_MISSED)
+        for stamp in (day - most, day - most - 1, day - 10 * most)
     ]
     assert all((getattr(long, field) == getattr(too_long, field)).all() for field in fields)
     assert len(long.weights) and (len(short.weights) != len(long.weights) or (short[0] != long[0]).any())

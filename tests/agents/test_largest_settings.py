@@ -15,6 +15,7 @@ from protocol.node import Effect, Started, Timer, received
 from protocol.settings import BadSetting, convert
 
 BARE = {"filter": {"prior_particles": 0.0, "prior_density": 0.0}}
+CROWDED = {"arena": {"width": 30.0, "height": 30.0}, "filter": {"prior_density": 0.1}}
 FAR = LARGEST_NUMBER / 2
 
 
@@ -33,7 +34,7 @@ def messages(settings: dict[str, Any], pose: tuple[float, float, float]) -> list
     [
         ({"limits": {"turn_rate": 1.0e4, "speed": 1.0e4}, "pose": {"time_noise": 10.0}}, (50.0, 50.0, 0.0)),
         ({"arena": {"width": FAR, "height": FAR}, "sensors": {"X": {"angle": 20.0, "radius": FAR}}, **BARE}, (FAR, FAR, 0.8)),
-        ({"control": {"mode": "search-and-track"}, "search": {"capacity": 1.0e-9}, "filter": {"prior_density": 0.1}}, (50.0, 50.0, 0.0)),
+        ({"control": {"mode": "search-and-track"}, "search": {"capacity": 1.0e-9}, **CROWDED}, (15.0, 15.0, 0.0)),
     ],
 )
 def test_peers_read_the_messages_of_an_agent_with_the_largest_settings(settings: dict[str, Any], pose: tuple[float, float, float]) -> None:

@@ -226,7 +226,7 @@ def test_an_agent_that_crashes_says_its_last_line_and_the_run_goes_on_and_ends_w
     assert "s2 died: exit code 1: a last line" in output
     result = json.loads((covey.runs / "latest" / "result.json").read_text())
     assert (result["exit_code"], result["ticks"]) == (1, 40)
-    assert json.loads(covey.run("runs", "--json")[1])[0]["state"] == "ended"
+    assert json.loads(covey.run("runs", "--json")[1])[0]["state"] == "failed"
 
 
 @pytest.mark.slow

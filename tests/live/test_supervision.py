@@ -151,7 +151,9 @@ def test_a_process_that_refuses_its_settings_ends_the_run_with_its_own_words(cov
     (covey.folder / "towns.py").write_text("\n".join(lines) + "\n")
     code, _, complaints = covey.run("up", "quick", "--set", "targets.motion=towns:Motion")
     assert code == 2
-    assert complaints.startswith("covey: world: targets.motion = 'towns:Motion': no map of this town")
+    assert complaints.startswith(
+        "covey: world: targets.motion = 'towns:Motion': towns:Motion raised ValueError: no map of this town (towns.py, line 5)"
+    )
     assert complaints.count("\n") == 1
 
 
