@@ -48,6 +48,7 @@ class GossipHistory:
     def __init__(self, context: AgentContext, most: int) -> None:
         """`most`: ticks that a round is played late at most."""
         self._context, self._most = context, most
+        self.ticks_ahead = most + WINDOW_TICKS  # after the newest belief, of which gossips are kept
         self._most_ticks = 2 * (2 * most + WINDOW_TICKS)  # twice what `keep` leaves
         self._said: dict[int, dict[str, tuple[Gossip, AnnouncedSensor]]] = {}
         self._blurred: dict[int, AgentConfig] = {}  # by ticks
@@ -71,7 +72,7 @@ class GossipHistory:
         """Keep the belief after a round. Drop the gossips that no round will need, and those of a tick so far ahead that it is wrong."""
         self._beliefs.append(belief)
         oldest = belief.stamp - self._most  # the next replay begins with the belief of this tick
-        newest = belief.stamp + self._most + WINDOW_TICKS
+        newest = belief.stamp + self.ticks_ahead
         self._said = {tick: heard for tick, heard in self._said.items() if oldest <= tick <= newest}
 
     def has_later(self, name: str, tick: int) -> bool:
@@ -115,7 +116,7 @@ class GossipHistory:
 
         What is left when one expected target has been taken from a peak must be more than that to be another one.
         """
-        ticks = min(ticks, WINDOW_TICKS + 1)  # a jump over more ticks blurs no more
+        ticks = min(ticks, self.ticks_ahead + 1)  # a jump over more ticks blurs no more
         if ticks not in self._blurred:
             config, now = self._context.config, self._context.config.extraction
             share = 1.0 / (1.0 + BLUR * ticks * config.run.dt)
@@ -174,13 +175,13 @@ def rectangle_around(polygon: np.ndarray, own: Gossip, reach: float, margin: flo
 def look_ahead(recent: GossipHistory, context: AgentContext, last: RoundResult, own: Gossip, ticks: int) -> RoundResult:
     """The result of a round as it stands at the tick of `own`, a later one: all of now but the belief, which stays that of the round.
 
-    Over more than `WINDOW_TICKS` the belief only moves: the gossips of these are kept. `ticks`: how long the command is to last; 0: there
-    is none.
+    Of a longer pause only the last ticks are replayed, as many as gossips are kept of; before them the belief only moves.
+    `ticks`: how long the command is to last; 0: there is none.
     """
     round_cell, tracker, config = last.round_cell, context.tracker, context.config
     if round_cell is None:  # no round has been played yet
         return last
-    region, belief = round_cell.region, tracker.catch_up(last.belief, Step(config, own.tick - WINDOW_TICKS))
+    region, belief = round_cell.region, tracker.catch_up(last.belief, Step(config, own.tick - recent.ticks_ahead))
     for tick in range(belief.stamp + 1, own.tick):
         table = recent.table(recent.own_gossip(tick, own))
         density = tracker.merge(belief, table, Step(config, tick))

@@ -22,7 +22,7 @@ from protocol.sensing import LEAST_RADIUS, SENSOR_CLASSES, SensorModel, WedgeSen
 
 Positive = Annotated[float, msgspec.Meta(gt=0.0, le=1.0e9)]
 NotNegative = Annotated[float, msgspec.Meta(ge=0.0, le=1.0e9)]
-# what goes into messages, within their limits: a place in the arena plus the reach of a sensor is a coordinate, and so is the way of 10 s
+# what goes into messages, within their limits: a place in the arena plus the reach of a sensor is a coordinate; in 10 s nothing goes beyond
 Length = Annotated[float, msgspec.Meta(gt=0.0, le=LARGEST_NUMBER / 2)]
 Rate = Annotated[float, msgspec.Meta(ge=0.0, le=LARGEST_NUMBER / 100)]
 Seed = Annotated[int, msgspec.Meta(ge=0, le=2**63 - 1)]

@@ -101,7 +101,7 @@ def check_given(config: WorldConfig) -> None:
 def pose_remarks(config: WorldConfig) -> list[str]:
     """A line for each given pose that is not read, or lies outside of the arena."""
     if config.bodies.start != "given":
-        return ["bodies.poses: are not read; bodies.start should be 'given'"] if config.bodies.poses else []
+        return ["bodies.poses is not read: bodies.start should be 'given'"] if config.bodies.poses else []
     remarks = []
     for name, (x, y, _) in config.bodies.poses.items():
         if name not in config.members:

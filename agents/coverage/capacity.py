@@ -49,8 +49,9 @@ def sensor_facts(sensor: SensorModel) -> SensorFacts:
         raise ValueError(f"{type(sensor).__name__}: the detection probability is 0 everywhere within its reach of {sensor.reach} m")
     seen = points[probability > 0.0]
     if len(seen) < _LEAST_SEEN:
-        farthest = f"something is seen up to {np.sqrt((seen * seen).sum(axis=1)).max():.3g} m alone"
-        raise ValueError(f"{type(sensor).__name__}: a reach of {sensor.reach:g} m is too far to compute with: {farthest}")
+        farthest = f"the farthest at {np.sqrt((seen * seen).sum(axis=1)).max():.3g} m"
+        few = f"only {len(seen)} of {_GRID} x {_GRID} places within its reach of {sensor.reach:g} m are seen, {farthest}"
+        raise ValueError(f"{type(sensor).__name__}: {few}: its reach is too far, or its beam too narrow, to compute with")
     x, y = (total(probability * points[:, axis]) / detected for axis in (0, 1))
     return SensorFacts(detected * step * step, (x, y))
 

@@ -7,6 +7,7 @@ from operator import attrgetter
 from protocol.messages import Gossip
 
 TICK = attrgetter("tick")
+FAR_TICKS = 128  # after the last closed round: at the slowest pace the next tick of all is 64 ahead, and the one after it 128
 WINDOW_TICKS = 16  # of so many ticks after the last closed round all gossips are kept, and of later ticks this many of each peer
 
 
@@ -21,11 +22,11 @@ class RoundInbox:
 
     def is_far_ahead(self, tick: int) -> bool:
         """Whether a tick comes long after the last closed round: it is wrong, or this agent was stalled."""
-        return tick > self._closed + WINDOW_TICKS
+        return tick > self._closed + FAR_TICKS
 
     def _is_near(self, tick: int) -> bool:
         """Whether a tick is one of the next ones to be closed."""
-        return tick > self._closed and not self.is_far_ahead(tick)
+        return self._closed < tick <= self._closed + WINDOW_TICKS
 
     def is_closed(self, name: str, tick: int) -> bool:
         """Whether a round with a gossip of a peer, of this tick or a later one, is closed."""

@@ -67,7 +67,7 @@ def announce_alike(one: Beacon, other: Beacon) -> bool:
 
 
 def all_acceptable(peers: Iterable[Peer], neighbours_only: bool) -> bool:
-    """Whether every well-formed gossip of the next tick by these peers will be accepted. Not all tokens are seen by `neighbours_only`."""
+    """Whether every well-formed gossip of the next tick by these peers will be accepted. With `neighbours_only` not all tokens are seen."""
     return all(
         peer.gone_at is None and not peer.missed and peer.announced is not None and (peer.token or neighbours_only) for peer in peers
     )

@@ -151,5 +151,5 @@ class TickRateMeter:
         behind = f"{100.0 * share:.0f} % of the rounds are skipped" if share > BAD_SHARE else f"{100.0 * speed:.0f} % of the ticks come"
         what = f"{len(self._scenario.members)} agents at rate {run.rate:g}"
         own = " and ".join(own_classes(self._scenario))
-        what += f", or {own} too slow" if own else ""  # what takes the time is not measured
-        return f"this machine is too small for {what} ({behind}): take --rate {fits:.2g} or less, or --lockstep"
+        blamed = f"{own} takes too long, or " if own else ""  # what takes the time is not measured
+        return f"{blamed}this machine is too small for {what} ({behind}): take --rate {fits:.2g} or less, or --lockstep"

@@ -85,7 +85,7 @@ def test_a_sensor_that_sees_nothing_is_refused() -> None:
 def test_a_reach_for_which_the_quadrature_is_too_coarse_is_refused() -> None:
     cone = Cone()
     cone.reach = 50.0 * cone.reach  # some 320 points of the quadrature lie within the cone
-    with pytest.raises(ValueError, match=r"a reach of .* m is too far to compute with: something is seen up to 5\.\d+ m alone"):
+    with pytest.raises(ValueError, match=r"only \d+ of 1024 x 1024 places within its reach of .* m are seen, the farthest at 5\.\d+ m"):
         sensor_facts(cone)
     cone = Cone()
     cone.reach = 30.0 * cone.reach

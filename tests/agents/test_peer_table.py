@@ -55,6 +55,16 @@ def generators(peers: PeerTable, tick: int) -> list[str]:
     return list(peers.generator_gossips(tick, peers.fresh(tick)))
 
 
+@pytest.mark.parametrize("pace", [1, 8, 64])
+def test_at_every_pace_the_gossip_of_the_next_tick_ends_a_silence(pace: int) -> None:
+    peers = neighbours("s2")
+    hear(peers, gossip("s2", pace))
+    peers.close(pace)
+    peers.close(2 * pace)
+    assert peers.peers["s2"].missed == 1
+    assert hear(peers, gossip("s2", 3 * pace)) is None and peers.peers["s2"].missed == 0
+
+
 def test_a_peer_that_says_ticks_far_ahead_pushes_out_nobody_elses_gossips() -> None:
     peers = neighbours("s2", "s3")
     for tick in range(3 * WINDOW_TICKS):

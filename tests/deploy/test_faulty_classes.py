@@ -339,7 +339,7 @@ PLUGGED = [
     ("sensor", "Fixed", "Fixed.footprint at the pose (13.7, -8.2, 2.3) is not that at (0.0, 0.0, 0.0), moved and turned"),
     ("sensor", "Outside", "Outside.footprint returned a corner at 21.2 m: should lie within reach = 8"),
     ("sensor", "Behind", "Behind.footprint is not where its probability is above 0: 0 % of the places in view lie within it"),
-    ("sensor", "Everywhere", "Everywhere: a reach of 2000 m is too far to compute with: something is seen up to "),
+    ("sensor", "Everywhere", " of 1024 x 1024 places within its reach of 2000 m are seen, the farthest at "),
     ("sensor", "NoReach", "NoReach.reach = -1.0: should be a number > 0"),
     ("sensor", "Wordy", "Wordy.area = 'large': should be a number > 0"),
     ("sensor", "NoCamera", f"NoCamera raised KeyError: 'no camera' (test_faulty_classes.py, line {NO_CAMERA})"),

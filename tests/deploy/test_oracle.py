@@ -64,7 +64,7 @@ def test_check_says_that_seconds_which_are_no_multiple_of_dt_are_rounded(capsys:
 
 def test_check_prints_remarks_on_given_poses(capsys: pytest.CaptureFixture[str]) -> None:
     scenario_file.check(resolve("quick", {"bodies.poses": {"s1": [1.0, 2.0, 0.0]}}))
-    assert "bodies     bodies.poses: are not read; bodies.start should be 'given'" in capsys.readouterr().out
+    assert "bodies     bodies.poses is not read: bodies.start should be 'given'" in capsys.readouterr().out
 
 
 def test_check_says_that_a_live_run_refuses_it(capsys: pytest.CaptureFixture[str]) -> None:

@@ -95,7 +95,10 @@ def test_the_advice_names_a_class_of_the_users_own_which_may_be_what_is_slow() -
     own = msgspec.structs.replace(given, control=msgspec.structs.replace(given.control, mode="laws:Slow"))
     busy = TickRateMeter(own)
     run_at(busy, 8.0, 10.0, skipped=100)
-    assert "for 6 agents at rate 2, or laws:Slow too slow (50 % of the rounds are skipped)" in busy.at(110.0).advice
+    assert (
+        "laws:Slow takes too long, or this machine is too small for 6 agents at rate 2 (50 % of the rounds are skipped)"
+        in busy.at(110.0).advice
+    )
 
 
 def test_the_rounds_that_a_paused_agent_skips_are_counted_and_give_no_advice() -> None:

@@ -80,3 +80,13 @@ def test_what_could_not_be_written_leaves_the_former_file_and_nothing_beside_it(
 def test_what_is_no_file_is_written_to_itself() -> None:
     with whole_file(Path("/dev/null")) as new:
         assert new == Path("/dev/null")
+
+
+def test_a_link_stays_a_link_and_a_new_file_may_be_read_by_those_who_read_the_former(tmp_path: Path) -> None:
+    file, link = tmp_path / "a.json", tmp_path / "link.json"
+    write_whole(file, b"before")
+    file.chmod(0o640)
+    write_whole(file, b"after")
+    link.symlink_to(file)
+    write_whole(link, b"by the link")
+    assert link.is_symlink() and file.read_bytes() == b"by the link" and file.stat().st_mode & 0o777 == 0o640

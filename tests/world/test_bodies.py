@@ -94,7 +94,7 @@ def test_given_poses_that_are_not_read_or_lie_outside_of_the_arena_are_told() ->
         "bodies.poses.zz: there is no such agent",
     ]
     assert pose_remarks(WorldConfig(members={"s1": "A"}, bodies=BodySettings(poses=poses))) == [
-        "bodies.poses: are not read; bodies.start should be 'given'"
+        "bodies.poses is not read: bodies.start should be 'given'"
     ]
     assert pose_remarks(WorldConfig(members={"s1": "A"})) == []
 
