@@ -9,7 +9,7 @@ import numpy as np
 from agents.config import AgentConfig
 from agents.gossip.table import AnnouncedSensor
 from agents.interest.tiles import Rectangle
-from agents.membership.peer import Peer, announce_alike
+from agents.membership.peer import Peer, same_sensor
 from protocol.messages import Beacon, Gossip
 
 POSITION_ROW = struct.Struct("<6d")
@@ -88,12 +88,12 @@ class PositionTable:
                 peer is None
                 or peer.beacon is None
                 or peer.announced is None
-                or peer.gone_at is not None
+                or peer.refused_until is not None
                 or peer.doubted
                 or peer.missed >= limit
                 or peer.incarnation != beacon.incarnation
                 or beacon.tick < peer.beacon.tick
-                or not announce_alike(beacon, peer.beacon)
+                or not same_sensor(beacon, peer.beacon)
             ):
                 others.append(beacon)
             else:
@@ -175,4 +175,4 @@ class PositionTable:
 
     def _has_position(self, peer: Peer) -> bool:
         """Whether a peer has a position: it has not gone, its sensor is known, and it has not been silent for long."""
-        return peer.gone_at is None and peer.announced is not None and peer.missed < self.silence_limit
+        return peer.refused_until is None and peer.announced is not None and peer.missed < self.silence_limit

@@ -20,7 +20,7 @@ class Peer:
     incarnation: int
     token: bool = False  # its liveliness token is up
     announced: AnnouncedSensor | None = None
-    gone_at: int | None = None  # gossips of later ticks were sent after its token vanished, and revive the peer
+    refused_until: int | None = None  # its token has vanished: a gossip of a later tick revives the peer; None: it is there
     missed: int = 0  # rounds without a gossip in a row
     doubted: bool = False  # its token vanished while this agent was late itself
     beacon: Beacon | None = None  # the newest one
@@ -35,10 +35,10 @@ class Peer:
 
         A tick that `is_wrong`, as it lies far ahead, ends no silence and brings nobody back.
         """
-        self.doubted, was_gone = False, self.gone_at is not None and tick > self.gone_at
+        self.doubted, was_gone = False, self.refused_until is not None and tick > self.refused_until
         if is_wrong or not (was_gone or self.missed >= least_silence):
             return False
-        self.gone_at, self.missed = None if was_gone else self.gone_at, 0
+        self.refused_until, self.missed = None if was_gone else self.refused_until, 0
         return True
 
 
@@ -61,7 +61,7 @@ def announced_by(message: Hello | Beacon, config: AgentConfig) -> AnnouncedSenso
     return announced_sensor(message.sender, sensor, config.detection.clutter)
 
 
-def announce_alike(one: Beacon, other: Beacon) -> bool:
+def same_sensor(one: Beacon, other: Beacon) -> bool:
     """Whether two beacons announce the same sensor."""
     return one.sensor_class == other.sensor_class and one.sensor == other.sensor
 
@@ -69,7 +69,7 @@ def announce_alike(one: Beacon, other: Beacon) -> bool:
 def all_acceptable(peers: Iterable[Peer], neighbours_only: bool) -> bool:
     """Whether every well-formed gossip of the next tick by these peers will be accepted. With `neighbours_only` not all tokens are seen."""
     return all(
-        peer.gone_at is None and not peer.missed and peer.announced is not None and (peer.token or neighbours_only) for peer in peers
+        peer.refused_until is None and not peer.missed and peer.announced is not None and (peer.token or neighbours_only) for peer in peers
     )
 
 

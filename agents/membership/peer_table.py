@@ -25,7 +25,7 @@ from agents.config import AgentConfig
 from agents.gossip.inbox import RoundInbox
 from agents.interest.position_table import GENERATOR_X, NO_GENERATORS, POWER_RADIUS, PositionTable, UnsubscribedGenerators
 from agents.interest.selection import Choice
-from agents.membership.peer import Peer, all_acceptable, announce_alike, announced_by, plausible, with_newer_generator, with_peer
+from agents.membership.peer import Peer, all_acceptable, announced_by, plausible, same_sensor, with_newer_generator, with_peer
 from protocol.fields import MAX_NAMES
 from protocol.messages import Beacon, Gossip, Hello
 from protocol.node import Batch
@@ -69,9 +69,9 @@ class PeerTable:
         """A token appeared."""
         peer = self._get_or_create(name, incarnation, token=True)
         if peer:
-            self.selection_outdated |= peer.gone_at is not None
+            self.selection_outdated |= peer.refused_until is not None
             self._strangers.pop(name, None)
-            peer.token, peer.gone_at, peer.doubted = True, None, False
+            peer.token, peer.refused_until, peer.doubted = True, None, False
             if peer.beacon is not None:
                 self.positions.note(peer, peer.beacon)
 
@@ -91,7 +91,7 @@ class PeerTable:
 
     def _mark_left(self, peer: Peer, tick: int) -> None:
         """A peer has left in the round `tick`. It may have been a tick ahead, and gossips of it may still be on their way."""
-        peer.gone_at, peer.doubted = tick + 1, False
+        peer.refused_until, peer.doubted = tick + 1, False
         self.positions.remove(peer.name)
         self.selection_outdated = True
 
@@ -190,11 +190,11 @@ class PeerTable:
             return "settings" if peer.differs else UNKNOWN_SENSOR
         if self.inbox.is_closed(name, tick):
             return "closed"
-        if peer.gone_at is not None and tick <= peer.gone_at:
+        if peer.refused_until is not None and tick <= peer.refused_until:
             return "dead"
         if not plausible(gossip, peer.announced, self._config.arena):
             return "implausible"
-        was_gone = peer.gone_at is not None
+        was_gone = peer.refused_until is not None
         if peer.note_life(tick, 1, is_wrong=self.inbox.is_far_ahead(tick)):
             self.selection_outdated |= was_gone
         return ACCEPTED
@@ -202,7 +202,7 @@ class PeerTable:
     def fresh(self, tick: int) -> dict[str, Gossip]:
         """The gossips of `tick` by live peers, in the order of names."""
         gossips = self.inbox.of(tick)
-        return {name: gossips[name] for name, peer in self.interest_set.items() if name in gossips and peer.gone_at is None}
+        return {name: gossips[name] for name, peer in self.interest_set.items() if name in gossips and peer.refused_until is None}
 
     def missing(self, tick: int, *, newcomer: bool = False) -> set[str]:
         """The peers whose gossip of `tick` is missing: alive, heard before, and not silent for long.
@@ -221,7 +221,7 @@ class PeerTable:
             return {
                 name
                 for name, peer in self.interest_set.items()
-                if peer.gone_at is None and peer.missed < self._silence_limit and name not in gossips
+                if peer.refused_until is None and peer.missed < self._silence_limit and name not in gossips
             }
         limit = self._silence_limit
         others = [peer for name, peer in self.interest_set.items() if name not in gossips and (peer.token or peer.doubted)]
@@ -246,7 +246,7 @@ class PeerTable:
 
     def _newest_known(self, tick: int, fresh: dict[str, Gossip]) -> dict[str, Gossip]:
         """The newest gossip of each live peer that is not `fresh`; its generator is that of the newest claim that names it, if newer."""
-        live = [name for name, peer in self.interest_set.items() if peer.gone_at is None and name not in fresh]
+        live = [name for name, peer in self.interest_set.items() if peer.refused_until is None and name not in fresh]
         found = {name: gossip for name in live if (gossip := self.inbox.newest(name, tick)) is not None}
         found |= {name: known for name, known in self._last_known.items() if name in found and known.tick > found[name].tick}
         newest = [fresh.get(name) or self.inbox.newest(name, tick) for name in self.interest_set] if found else []
@@ -293,7 +293,7 @@ class PeerTable:
     def slow_paces(self) -> list[int]:
         """The paces that peers have stated last, where they do not share every tick. Those that have left or fallen silent do not count."""
         peers = [(self.interest_set.get(name), pace) for name, pace in self._paces.items()]
-        return [pace for peer, pace in peers if peer is not None and peer.gone_at is None and peer.missed < self._silence_limit]
+        return [pace for peer, pace in peers if peer is not None and peer.refused_until is None and peer.missed < self._silence_limit]
 
     def keep_pace(self, pace: int) -> None:
         """From now on share the ticks that `pace` divides: a silence of some seconds lasts fewer rounds."""
@@ -349,7 +349,7 @@ class PeerTable:
             return False
         if is_older:  # than one of a wrong tick, far ahead
             self.positions.remove(peer.name)
-        if peer.announced is None or peer.beacon is None or not announce_alike(beacon, peer.beacon):  # the newest beacon counts
+        if peer.announced is None or peer.beacon is None or not same_sensor(beacon, peer.beacon):  # the newest beacon counts
             peer.announced = announced_by(beacon, self._config) or peer.announced
         tick = beacon.tick - 1  # a beacon states the position of the next tick
         is_back = peer.note_life(tick, self._silence_limit, is_wrong=self.inbox.is_far_ahead(tick))
@@ -365,7 +365,7 @@ class PeerTable:
         self.positions.catch_up(self.peers, all_live=self._all_acceptable)
         old = self.positions.forget_outside(since, until)
         if len(self.peers) - len(old) > len(self.positions):
-            old += [name for name, peer in self.peers.items() if name not in self.positions and (peer.gone_at or -1) < since]
+            old += [name for name, peer in self.peers.items() if name not in self.positions and (peer.refused_until or -1) < since]
         if old:
             self._remove({*old})
         return bool(old)
@@ -429,9 +429,8 @@ class PeerTable:
         """
         peer = self.peers.get(name)
         younger = peer is not None and incarnation > peer.incarnation and (token or not peer.token)
-        guessed = (
-            peer is not None and token and incarnation != peer.incarnation and not (peer.token or peer.doubted) and peer.gone_at is None
-        )
+        had_token = peer is not None and (peer.token or peer.doubted or peer.refused_until is not None)
+        guessed = peer is not None and token and incarnation != peer.incarnation and not had_token
         if peer is None or younger or guessed:
             is_new, peer = peer is None, Peer(name, incarnation)
             self.positions.remove(name)

@@ -31,8 +31,8 @@ from agents.tracking.tracker import (
     RegionInput,
     RegionUpdate,
     claims_tile_arena,
-    missed_ticks,
     stated_claims,
+    ticks_to_replay,
     unknown_senders,
 )
 from protocol.compact_particles import packed, quantised
@@ -153,7 +153,7 @@ class ParticlePhd(NamedTuple):
             return belief
         released = _without_claim(belief)
         particles = released.copies.near
-        for missed in missed_ticks(belief, step):
+        for missed in ticks_to_replay(belief, step):
             particles = predict(particles, step._replace(tick=missed))
         return replace(released, stamp=step.tick - 1, copies=Copies(particles))
 

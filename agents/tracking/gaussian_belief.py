@@ -37,8 +37,8 @@ from agents.tracking.tracker import (
     RegionInput,
     RegionUpdate,
     claims_tile_arena,
-    missed_ticks,
     stated_claims,
+    ticks_to_replay,
     unknown_senders,
 )
 from protocol import geometry
@@ -118,7 +118,7 @@ class MixturePhd(NamedTuple):
             return belief
         released = _without_claim(belief)
         copies = released.copies
-        for missed in missed_ticks(belief, step):
+        for missed in ticks_to_replay(belief, step):
             copies = _moved(copies, step._replace(tick=missed))
         return replace(released, stamp=step.tick - 1, copies=copies)
 

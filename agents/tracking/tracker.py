@@ -87,7 +87,7 @@ class Belief:
         return self.stamp if self.kept_since is None else self.kept_since
 
 
-def missed_ticks(belief: Belief, step: Step) -> range:
+def ticks_to_replay(belief: Belief, step: Step) -> range:
     """The ticks between that of a belief and that of a step, of too many the last `MOST_MISSED`."""
     return range(max(belief.stamp + 1, step.tick - MOST_MISSED), step.tick)
 
@@ -140,7 +140,7 @@ class Tracker(Protocol):
     def catch_up(self, belief: Belief, step: Step) -> Belief:
         """The belief at the tick before `step.tick`, without a claim if that round was missed. `update` predicts the rest.
 
-        Copies move by the `missed_ticks`.
+        Copies move by the `ticks_to_replay`.
         """
 
     def keep_claim(self, belief: Belief, step: Step, alone: RegionUpdate | None = None) -> Belief:

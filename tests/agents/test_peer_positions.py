@@ -190,5 +190,5 @@ def test_a_beacon_of_a_tick_far_ahead_brings_nobody_back_who_has_gone() -> None:
     found = peers()
     found.close(4)
     found.gone("s2", 1, 5)
-    assert said(found, beacon("s2", 10**6, 10.0)) == [False] and found.peers["s2"].gone_at == 6
-    assert said(found, beacon("s2", 8, 10.0)) == [True] and found.peers["s2"].gone_at is None
+    assert said(found, beacon("s2", 10**6, 10.0)) == [False] and found.peers["s2"].refused_until == 6
+    assert said(found, beacon("s2", 8, 10.0)) == [True] and found.peers["s2"].refused_until is None
