@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable, Iterator, Sequence
+from copy import deepcopy
 from typing import Any, TypeVar
 
 import msgspec
@@ -31,7 +32,7 @@ from protocol.gaussian_components import MOST_MASS
 from protocol.geometry import rectangle
 from protocol.sensing import WedgeSensor
 from protocol.setting_errors import mistakes
-from protocol.settings import BadSetting, sensor_of
+from protocol.settings import BadSetting, load_named, sensor_of
 from world.bodies import check_given, start_poses
 from world.config import TargetSettings
 from world.platform import SIMULATED, platform_class
@@ -211,12 +212,18 @@ def _try_law(scenario: Scenario) -> None:
         velocity, turn_rate = one.command(situation(tick))
         return np.array([*velocity, turn_rate])
 
-    _ask_two(f"{scenario.control.mode}.command", lambda: control_law(scenario), ask, "what `situation` has said to this object alone")
+    two: tuple[ControlLaw, ControlLaw] = law, control_law(scenario)
+    if not isinstance(load_named(scenario.control.mode), type):  # an object that Python was given: the run shall find it as it is
+        try:
+            two = deepcopy(law), deepcopy(law)
+        except Exception:  # it holds a lock, or a file
+            return
+    _ask_two(f"{scenario.control.mode}.command", two, ask, "what `situation` has said to this object alone")
 
 
-def _ask_two(what: str, build: Callable[[], T], ask: Callable[[T, int], np.ndarray], source: str) -> None:
+def _ask_two(what: str, two: tuple[T, T], ask: Callable[[T, int], np.ndarray], source: str) -> None:
     """Raise BadSetting where two objects of a class of the user's answer the same questions differently: no run could be repeated."""
-    one, other = build(), build()
+    one, other = two
     for tick in range(TICKS_TRIED):
         if not np.array_equal(ask(one, tick), ask(other, tick)):
             wrong = f"{what} gives two answers to the same question, of tick {tick}: should follow from {source}"
@@ -233,7 +240,7 @@ def _try_motion(scenario: Scenario) -> None:
         return np.column_stack(one.move(np.array([[1.0, 2.0], [3.0, 4.0]]), np.array([0.0, 1.0]), np.array([1, 2], dtype=np.uint64), tick))
 
     if scenario.targets.motion != "constant-speed":
-        _ask_two(f"{scenario.targets.motion}.move", build, ask, "the seed, the ids and the tick alone")
+        _ask_two(f"{scenario.targets.motion}.move", (build(), build()), ask, "the seed, the ids and the tick alone")
 
 
 def _try_bodies(scenario: Scenario) -> None:

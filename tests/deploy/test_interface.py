@@ -6,6 +6,7 @@ import math
 import os
 import subprocess
 import sys
+import threading
 from collections.abc import Iterator
 from dataclasses import fields
 from pathlib import Path
@@ -129,6 +130,33 @@ def test_own_classes_and_objects_do_what_their_names_do() -> None:
     named = covey.simulate("quick", seconds=2, team="3ring", settings=settings)
     assert wide.result.transcript == named.result.transcript
     assert covey.simulate("quick", seconds=2, sensors={"ring": Ring}, team="3ring").result.transcript != wide.result.transcript
+
+
+class Remembering(Stay):
+    """A law that answers by how often it was asked, as one object for all agents may."""
+
+    def __init__(self, kept: object = None) -> None:
+        self.asked, self.kept = 0, kept
+
+    def command(self, situation: object) -> tuple[tuple[float, float], float]:
+        self.asked += 1
+        return (0.1 * self.asked, 0.0), 0.0
+
+
+@pytest.mark.parametrize("law", [Remembering(), Remembering(kept=threading.Lock())], ids=["can be copied", "cannot be copied"])
+def test_a_law_with_a_memory_may_be_given_as_an_object_which_no_check_asks(law: Remembering) -> None:
+    covey.scenario("quick", control=law)
+    assert law.asked == 0
+
+
+def test_an_object_that_answers_by_chance_is_refused_as_its_class_is() -> None:
+    class Chance(Stay):
+        def command(self, situation: object) -> tuple[tuple[float, float], float]:
+            return (float(np.random.random()), 0.0), 0.0
+
+    for law in (Chance(), Chance):
+        with pytest.raises(covey.BadSetting, match="gives two answers to the same question, of tick 0"):
+            covey.scenario("quick", control=law)
 
 
 def test_what_was_passed_in_another_process_is_told_apart_from_what_never_was() -> None:
