@@ -27,6 +27,7 @@ from protocol.messages import Gossip, Hello
 from protocol.node import Alive, Effect, Event, Gone, Node, Received, Rejected, Started, Subscribe, received
 from protocol.observer_messages import Estimate, Truth
 from protocol.session_watchdog import ListenerWatchdog
+from protocol.settings import BadSetting
 from protocol.settings_digest import differing_settings
 from world.newest_tick import NewestTick
 from world.presence import Presence
@@ -236,10 +237,18 @@ class Scorer(Node):
             if truth is None and late:
                 self._forget(self._next)
             elif truth is not None and (late or self._is_complete(truth)):
-                self._score(truth, now)
-                self._forget(truth.tick)
+                self._score_once(truth, now)
             else:
                 return
+
+    def _score_once(self, truth: Truth, now: float) -> None:
+        """Score a tick, which is then past. Where a class of the user's fails, no other tick that waits is scored: it would fail again."""
+        try:
+            self._score(truth, now)
+        except BadSetting:
+            self._truths.clear()
+            raise
+        self._forget(truth.tick)
 
     def _forget(self, tick: int) -> None:
         self._truths.pop(tick, None)
@@ -308,9 +317,7 @@ class Scorer(Node):
     def finish(self, now: float) -> None:
         """The run is over: score the remaining ticks. An agent that leaves from now on is not lost."""
         while self._truths and not self._finished:
-            tick = min(self._truths)
-            self._score(self._truths[tick], now)
-            self._forget(tick)
+            self._score_once(self._truths[min(self._truths)], now)
         self._tell(self._chronicle.finish())
         self._finished = True
         self.on_finish()
@@ -361,10 +368,9 @@ class Scorer(Node):
     def status(self, now: float) -> Status:
         """The newest score and what is known of each agent at a time of the driver's clock, s."""
         last = self.scores[-1] if self.scores else NO_SCORE
-        run = self._scenario.run
         return Status(
             tick=last.tick,
-            ticks=run.ticks,
+            ticks=self._scenario.run.ticks,
             time=last.time,
             ospa=last.ospa,
             gospa=last.gospa,
@@ -383,12 +389,8 @@ class Scorer(Node):
 
     def _agent_status(self, name: str) -> AgentStatus:
         live = self._presence.live(name)
-        status = AgentStatus(
-            name=name,
-            alive=live is not None,
-            incarnation=live or 0,
-            left_at=self._gone_at[name][0] if name in self._gone_at else None,
-        )
+        status = AgentStatus(name=name, alive=live is not None, incarnation=live or 0)
+        status.left_at = self._gone_at[name][0] if name in self._gone_at else None
         status.paused = name in self.deaths.paused
         status.differs = list(self._differing.get(name, ()))
         if self.truth is not None and name in self.truth.bodies:

@@ -17,6 +17,8 @@ from protocol.message import SharedSettings, Vector
 from protocol.messages import Gossip, Hello
 from protocol.node import Alive, Gone, Node, Received, Reopen, Started, Subscribe, received
 from protocol.observer_messages import Estimate, Truth
+from protocol.sensing import WedgeSensor
+from protocol.settings import BadSetting
 from tests.names import names_in
 
 LEFT = np.array([[0.0, 0.0], [5.0, 0.0], [5.0, 10.0], [0.0, 10.0]])
@@ -260,6 +262,27 @@ def test_result_of_means_and_steady_part_is_what_a_pocket_calculator_says(scenar
     assert (result.mean_ospa, result.steady_ospa, result.final_ospa) == (4.5, 5.5, 9.0)
     assert (result.cardinality_error, result.share_in_view, result.targets_in_view) == (0.25, 1.0, 1)
     assert (result.messages, result.bytes) == (30, 2000)
+
+
+def test_a_sensor_that_fails_while_a_tick_is_scored_is_told_once_and_the_run_has_a_result(
+    scenario: Scenario, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scorer, ended = started(longer(scenario)), list[bool]()
+    scorer.on_finish = lambda: ended.append(True)
+    scorer.handle(truth(0), 0.0)
+    scorer.handle(estimate("a", 0, LEFT), 0.0)
+    scorer.handle(estimate("b", 0, RIGHT), 0.0)
+
+    def fails(self: WedgeSensor, points: np.ndarray, pose: object) -> np.ndarray:
+        raise BadSetting("own:Sensor.probability raised ZeroDivisionError")
+
+    monkeypatch.setattr(WedgeSensor, "probability", fails)
+    for tick in range(1, 13):  # the coverage is read anew from tick 10 on
+        scorer.handle(truth(tick), 0.0)
+    with pytest.raises(BadSetting, match="ZeroDivisionError"):
+        scorer.finish(1.0)
+    scorer.finish(1.0)
+    assert ended == [True] and scorer.result(1.0).ticks == len(scorer.scores) == 10
 
 
 def test_a_run_of_no_tick_has_a_result_too(scenario: Scenario) -> None:
