@@ -261,7 +261,7 @@ def _try_recording(scenario: Scenario) -> None:
         )
     if scenario.recorded.kind != "none" and scenario.targets != TargetSettings():
         kind = scenario.recorded.kind
-        raise BadSetting(f"recorded.kind = {kind!r}: has targets of its own; should be none where [targets] or --targets says something")
+        raise BadSetting(f"recorded.kind = {kind!r}: has targets of its own; should be none where targets are set")
     recording_remarks(scenario)
 
 

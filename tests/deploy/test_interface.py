@@ -196,6 +196,16 @@ def test_an_argument_that_no_function_has_is_told_as_python_tells_it() -> None:
         covey.simulate("quick", sed=3)  # type: ignore[call-arg]
 
 
+@pytest.mark.parametrize("options", [{"loss": 2.0}, {"delay": -1.0}, {"kill": "half"}], ids=lambda options: next(iter(options)))
+def test_a_wrong_argument_is_told_alike_over_a_name_and_over_a_scenario(options: dict[str, Any]) -> None:
+    lines = []
+    for over in ("quick", covey.scenario("quick")):
+        with pytest.raises(covey.BadSetting) as caught:
+            covey.scenario(over, **options)
+        lines.append(str(caught.value))
+    assert lines[0] == lines[1] and lines[0].startswith(f"{next(iter(options))} = ")
+
+
 def test_a_wrong_option_over_a_scenario_names_no_file_that_the_user_never_saw() -> None:
     with pytest.raises(covey.BadSetting, match=r"^scenario quick with options: run\.dt"):
         covey.scenario(covey.scenario("quick"), dt=99.0)

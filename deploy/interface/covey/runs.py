@@ -17,7 +17,7 @@ from deploy.scenario import Scenario, toml_text
 from deploy.scoring.result import Result
 from deploy.scoring.scores import Score
 from protocol.observer_messages import Truth
-from protocol.settings import BadSetting
+from protocol.settings import BadOption, BadSetting
 
 if TYPE_CHECKING:
     import pandas
@@ -115,6 +115,8 @@ def _lay_over(found: Scenario, options: RunOptions, settings: Mapping[str, Any])
         file.write_text(toml_text(data), encoding="utf-8")
         try:
             return options.scenario(str(file), settings)
+        except BadOption:
+            raise
         except BadSetting as error:
             raise BadSetting(str(error).replace(str(file), f"scenario {found.run.scenario}")) from None
 
