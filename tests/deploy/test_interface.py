@@ -7,7 +7,8 @@ import os
 import subprocess
 import sys
 import threading
-from collections.abc import Iterator
+from collections import deque
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import fields
 from pathlib import Path
 from typing import Any, get_type_hints
@@ -17,6 +18,7 @@ import pytest
 
 import covey
 from covey import plugged
+from covey.arguments import checked
 from deploy.cli.options import RunOptions
 from deploy.faults.faults import check_faults
 from deploy.scenario import resolve
@@ -264,6 +266,23 @@ def test_numbers_of_numpy_are_taken_wherever_numbers_are() -> None:
     plain = covey.scenario("quick", seed=1, seconds=3.0, targets=2, settings={"arena.width": 20.0, "network.seeds": ["tcp/127.0.0.1:7"]})
     numpy = {"arena.width": np.float32(20.0), "network.seeds": np.array(["tcp/127.0.0.1:7"])}
     assert covey.scenario("quick", seed=np.arange(2)[1], seconds=np.float32(3), targets=np.int64(2), settings=numpy) == plain  # type: ignore[arg-type]
+
+
+def test_any_sequence_is_taken_and_an_object_stays_itself_whatever_else_it_is() -> None:
+    class Table(dict[str, int]):
+        """A law or sensor may be a dict as well."""
+
+    @checked
+    def taken(numbers: Sequence[int], thing: object, things: Mapping[str, object]) -> tuple[object, ...]:
+        return numbers, thing, things["one"]
+
+    table = Table()
+    for numbers in (range(30, 60, 10), (1, 2), deque([3])):
+        found = taken(numbers, table, {"one": table})
+        assert found[0] == numbers and found[1] is found[2] is table
+    for wrong in ("12", b"12", range, {1: 2}, [1.5]):
+        with pytest.raises(covey.BadSetting, match=r"^numbers = .*: should be a list of whole numbers$"):
+            taken(wrong, table, {"one": table})  # type: ignore[arg-type]
 
 
 def test_elementwise_takes_what_numpy_makes_an_array_of() -> None:

@@ -51,10 +51,10 @@ def checked(function: Callable[P, T]) -> Callable[P, T]:
 
 
 def _plain(value: Any) -> Any:
-    """A value with Python's own numbers and lists in place of those of numpy."""
+    """A value with Python's own numbers and lists in place of those of numpy; an object of any other class stays as it is."""
     if isinstance(value, np.generic | np.ndarray):
         return value.tolist()
-    if isinstance(value, Mapping):
+    if type(value) is dict:
         return {key: _plain(item) for key, item in value.items()}
     return type(value)(map(_plain, value)) if type(value) in (list, tuple) else value
 
@@ -67,7 +67,7 @@ def _fits(value: Any, hint: Any) -> bool:
     if kind is Literal:
         return value in parts
     if kind is Sequence:
-        return isinstance(value, list | tuple) and all(_fits(item, parts[0]) for item in value)
+        return isinstance(value, Sequence) and not isinstance(value, str | bytes) and all(_fits(item, parts[0]) for item in value)
     if kind is Mapping:
         return isinstance(value, Mapping) and all(isinstance(key, str) for key in value)
     if kind in (int, float):
