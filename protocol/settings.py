@@ -107,7 +107,7 @@ class SensorSettings(Section, frozen=True, kw_only=True):
     parameters: dict[str, Any] = {}
 
     def build(self, paper: WedgeSensor | None = None) -> SensorModel:
-        """The sensor; `paper`: the sensor of this name in the paper, if any. Raises ValueError or ImportError naming the mistake."""
+        """The sensor; `paper`: the sensor of this name in the paper, if any. Raises ValueError naming the mistake."""
         if self.model == "wedge":
             if paper is None:
                 if self.angle is None or self.radius is None:

@@ -49,9 +49,21 @@ def as_bad_setting(what: str) -> Iterator[None]:
 def build(
     name: str, built_as: str, methods: tuple[str, ...], *arguments: object, parameters: Mapping[str, Any] = MappingProxyType({})
 ) -> Any:
-    """An object of the user's class `module:Class`; raises BadSetting naming the class and what is wrong. `built_as`: how, in words."""
+    """An object of the user's class `module:Class`; raises ValueError naming the class and what is wrong. `built_as`: how, in words."""
+    kind = class_of(name, built_as, *arguments, parameters=parameters)
+    with as_bad_setting(name):
+        built = kind(*arguments, **parameters)
+    missing = [method for method in methods if not callable(getattr(built, method, None))]
+    if missing:
+        raise BadSetting(f"{name}: the class has no method {', '.join(missing)}")
+    _refuse_async(built, methods, name)
+    return built
+
+
+def class_of(name: str, built_as: str, *arguments: object, parameters: Mapping[str, Any] = MappingProxyType({})) -> Callable[..., Any]:
+    """The user's class, not built yet, which takes these arguments; raises ValueError as `build` does."""
     try:
-        kind = load_named(name)
+        kind: Callable[..., Any] = load_named(name)
     except ImportError as error:
         raise BadSetting(str(error)) from error
     if not callable(kind):
@@ -64,15 +76,13 @@ def build(
     except TypeError as error:
         wrong = f"{name}: {error}; it takes {', '.join(taken.parameters) or 'nothing'}, and is built as {built_as}"
         raise BadSetting(wrong if inspect.isclass(kind) else f"{wrong}: should be a class") from None
-    with as_bad_setting(name):
-        built = kind(*arguments, **parameters)
-    missing = [method for method in methods if not callable(getattr(built, method, None))]
-    if missing:
-        raise BadSetting(f"{name}: the class has no method {', '.join(missing)}")
+    return kind
+
+
+def _refuse_async(built: object, methods: tuple[str, ...], name: str) -> None:
     for method in methods:
-        if inspect.iscoroutinefunction(getattr(built, method)):
+        if inspect.iscoroutinefunction(getattr(built, method, None)):
             raise BadSetting(f"{name}.{method} is async: should be a method without async")
-    return built
 
 
 def _taken_by(kind: Callable[..., Any]) -> inspect.Signature:
@@ -112,6 +122,7 @@ class CheckedSensor:
     """A sensor model of the user's own, with checked answers; other attributes are passed through."""
 
     def __init__(self, sensor: SensorModel, name: str) -> None:
+        _refuse_async(sensor, ("probability", "footprint"), name)
         self._sensor, self._name = sensor, name
 
     def __getattr__(self, part: str) -> Any:

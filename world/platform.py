@@ -4,8 +4,6 @@ A scenario names its own as `bodies.platform = "module:Class"`; it is built as C
 body. Every answer is checked. A wrong one ends the process of this body with one line, after the platform was told to stop.
 """
 
-import contextlib
-import inspect
 import math
 from collections.abc import Callable
 from typing import Any, Protocol
@@ -17,8 +15,8 @@ from protocol.message import Vector
 from protocol.messages import Command
 from protocol.pose import integrate
 from protocol.sensing import Pose
-from protocol.settings import BadSetting, LimitSettings, load_named
-from protocol.user_classes import as_bad_setting, build, real_array, shown
+from protocol.settings import BadSetting, LimitSettings
+from protocol.user_classes import as_bad_setting, build, class_of, real_array, shown
 from world.bodies import start_poses
 from world.config import BodySettings, WorldConfig
 
@@ -26,7 +24,7 @@ OWN = "own"
 METHODS = ("read", "drive", "stop")
 BRAKED = 4.0  # s after which a body of mass that is not driven stands
 SIMULATED = "simulated"
-RIGHT = "should be simulated or module:Class, built as Class(name, **bodies.parameters)"
+BUILT_AS = "Class(name, **bodies.parameters)"
 
 
 class Platform(Protocol):
@@ -162,9 +160,8 @@ def build_platform(name: str, config: WorldConfig) -> Platform:
     if settings.platform == SIMULATED:
         kind = Simulated if settings.model == "point" else Physical
         return kind(start_poses(config)[name], config.run.dt, config.limits)
-    platform_class(settings)
     try:
-        platform = build(settings.platform, "Class(name, **bodies.parameters)", METHODS, name, parameters=settings.parameters)
+        platform = build(settings.platform, BUILT_AS, METHODS, name, parameters=settings.parameters)
     except ValueError as error:
         raise BadSetting(f"bodies.platform = {settings.platform!r}: {error}") from error.__cause__
     return CheckedPlatform(platform, settings.platform)
@@ -172,14 +169,10 @@ def build_platform(name: str, config: WorldConfig) -> Platform:
 
 def platform_class(settings: BodySettings) -> Callable[..., Any]:
     """The user's own class, not built yet: that may open the ports of a robot, or give it its methods. Raises BadSetting with the field."""
-    where = f"bodies.platform = {settings.platform!r}"
     try:
-        kind = load_named(settings.platform)
-        with contextlib.suppress(ValueError):  # a class that is not written in Python says not what it takes
-            inspect.signature(kind).bind("", **settings.parameters)
-    except (ValueError, ImportError, TypeError) as error:
-        raise BadSetting(f"{where}: {error}; {RIGHT}") from None
-    return kind
+        return class_of(settings.platform, BUILT_AS, "", parameters=settings.parameters)
+    except ValueError as error:
+        raise BadSetting(f"bodies.platform = {settings.platform!r}: {error}; should be simulated or module:Class") from error.__cause__
 
 
 def check_simulated(settings: BodySettings) -> None:

@@ -63,6 +63,11 @@ class Raises(Camera):
         return {}["nope"]
 
 
+class AsyncCamera(Camera):
+    async def probability(self, points: np.ndarray, pose: Pose) -> Any:
+        return np.zeros(len(points))
+
+
 class Blind(Camera):
     def probability(self, points: np.ndarray, pose: Pose) -> Any:
         return np.zeros(len(points))
@@ -322,6 +327,7 @@ PLUGGED = [
     ("sensor", "Complex", "type complex128: should be an array of shape (3,) of finite real numbers"),
     ("sensor", "Above", "returned an array with 1.5 in it: should be from 0 to 1"),
     ("sensor", "Raises", "Raises.probability of 3 points raised KeyError: 'nope'"),
+    ("sensor", "AsyncCamera", "AsyncCamera.probability is async: should be a method without async"),
     ("sensor", "Blind", "Blind: the detection probability is 0 everywhere"),
     ("sensor", "Later", "returned 'much': should be an array"),
     ("sensor", "Farther", "Farther.probability is 0.9 at 5 m: should be 0 beyond reach = 4"),

@@ -103,7 +103,8 @@ def command(tick: int, velocity: tuple[float, float] = (1.0, 0.0), incarnation: 
     [
         (f"{HERE}:Unstoppable", "has no method stop"),
         (f"{HERE}:Nobody", "has no Nobody"),
-        (f"{HERE}:NeedsAPort", "missing a required argument: 'port'"),
+        (f"{HERE}:NeedsAPort", "NeedsAPort: missing a required argument: 'port'; it takes name, port, and is built as Class[(]name, "),
+        (f"{HERE}:math", "math is a module: should be a class"),
         ("robot", "should read module:Name"),
     ],
 )
