@@ -7,6 +7,7 @@ none; every export takes the label where there is one.
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
+import msgspec
 import numpy as np
 
 from agents.tracking.labels import NO_LABEL
@@ -41,7 +42,8 @@ def reported_ticks(recording: Recording) -> Iterator[ReportedTick]:
         if isinstance(message, Truth):
             truths.setdefault(message.tick, message)
         elif isinstance(message, Estimate):
-            estimates.setdefault(message.tick, {})[message.sender] = message
+            targets_alone = msgspec.structs.replace(message, cell_bytes=b"", neighbours=(), counters={})
+            estimates.setdefault(message.tick, {})[message.sender] = targets_alone
     names = UniqueLabels()
     for tick in sorted(truths):
         found = estimates.get(tick, {})

@@ -1,5 +1,7 @@
 """Exports to MOT, GeoJSON and Cursor-on-Target, read back with other libraries: motmetrics, geojson with shapely, and pytak."""
 
+import gc
+import tracemalloc
 import xml.etree.ElementTree as ElementTree
 from pathlib import Path
 
@@ -243,6 +245,28 @@ def test_of_two_agents_that_report_one_label_in_a_tick_each_has_a_label_of_its_o
     write_cot(recording, earth_of(recording, ORIGIN, BEGAN), tmp_path / "a.cot")
     uids = [ElementTree.fromstring(line).get("uid") for line in (tmp_path / "a.cot").read_text().splitlines()]
     assert len(uids) == len(set(uids)) == 2
+
+
+def test_of_all_estimates_of_a_recording_an_export_keeps_the_targets_alone(tmp_path: Path) -> None:
+    recorder = Recorder(tmp_path / "a.mcap", resolve("quick", {"run.name": "seen", "run.clock": "lockstep"}), None)
+    cell = pack(np.zeros((200, 2)), "<f8")
+    for tick in range(200):
+        truth = Truth(sender="world", incarnation=1, tick=tick, time=0.25 * tick)
+        said = Estimate(
+            sender="s1", incarnation=1, tick=tick, pose=(0.0, 0.0, 0.0), cod=(0.0, 0.0), power_radius=1.0, unused=1.0, cell_bytes=cell
+        )
+        for message in (truth, said):
+            recorder.see(received(message, payloads=[codec.encode(message)]), 0.0)
+    recorder.close()
+    recording = Recording(tmp_path / "a.mcap")
+    assert len(list(reported_ticks(recording))) == 200  # all is imported
+    gc.collect()
+    tracemalloc.start()
+    ticks = reported_ticks(recording)
+    next(ticks)
+    kept, _ = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert kept < 0.7 * 200 * len(cell)
 
 
 @pytest.mark.parametrize("form", ["csv", "parquet", "foxglove", "rerun", "mot", "geojson", "cot"])
