@@ -144,11 +144,11 @@ class Simulation:
         """The record of what has been played."""
         while self.bus.step(self.bus.now):
             pass
-        return self.scored()
+        return self.scored(failed=False)
 
-    def scored(self) -> Result:
+    def scored(self, *, failed: bool = True) -> Result:
         """The record of what has been scored: of a simulation that an error has ended, which cannot go on."""
-        self.scorer.finish(self.bus.now)
+        self.scorer.finish(self.bus.now, failed=failed)
         return self.scorer.result(time.perf_counter() - self._started, self.bus.messages, self.bus.bytes)
 
     def _tick(self, truth: Truth) -> None:

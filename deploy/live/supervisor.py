@@ -203,7 +203,7 @@ class Supervisor:
 
     def _make_result(self, code: int) -> None:
         now = asyncio.get_running_loop().time()
-        self.scorer.finish(now)
+        self.scorer.finish(now, failed=code == EXIT_BAD_INPUT)
         try:
             write_scores(self.directory.scores, self.scorer.scores)  # first: the figures of tracks take a long time after a long run
         except OSError as error:

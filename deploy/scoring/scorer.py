@@ -27,7 +27,6 @@ from protocol.messages import Gossip, Hello
 from protocol.node import Alive, Effect, Event, Gone, Node, Received, Rejected, Started, Subscribe, received
 from protocol.observer_messages import Estimate, Truth
 from protocol.session_watchdog import ListenerWatchdog
-from protocol.settings import BadSetting
 from protocol.settings_digest import differing_settings
 from world.newest_tick import NewestTick
 from world.presence import Presence
@@ -237,18 +236,10 @@ class Scorer(Node):
             if truth is None and late:
                 self._forget(self._next)
             elif truth is not None and (late or self._is_complete(truth)):
-                self._score_once(truth, now)
+                self._score(truth, now)
+                self._forget(truth.tick)
             else:
                 return
-
-    def _score_once(self, truth: Truth, now: float) -> None:
-        """Score a tick, which is then past. Where a class of the user's fails, no other tick that waits is scored: it would fail again."""
-        try:
-            self._score(truth, now)
-        except BadSetting:
-            self._truths.clear()
-            raise
-        self._forget(truth.tick)
 
     def _forget(self, tick: int) -> None:
         self._truths.pop(tick, None)
@@ -314,10 +305,15 @@ class Scorer(Node):
         self._tell(self._chronicle.see(view))
         self.deaths.see(view, now)
 
-    def finish(self, now: float) -> None:
-        """The run is over: score the remaining ticks. An agent that leaves from now on is not lost."""
-        while self._truths and not self._finished:
-            self._score_once(self._truths[min(self._truths)], now)
+    def finish(self, now: float, *, failed: bool = False) -> None:
+        """The run is over: score the remaining ticks. An agent that leaves from now on is not lost.
+
+        `failed`: an error has ended it, which a sensor of the user's may raise again here; the remaining ticks are not scored.
+        """
+        while self._truths and not self._finished and not failed:
+            tick = min(self._truths)
+            self._score(self._truths[tick], now)
+            self._forget(tick)
         self._tell(self._chronicle.finish())
         self._finished = True
         self.on_finish()

@@ -281,7 +281,7 @@ def test_a_sensor_that_fails_while_a_tick_is_scored_is_told_once_and_the_run_has
         scorer.handle(truth(tick), 0.0)
     with pytest.raises(BadSetting, match="ZeroDivisionError"):
         scorer.finish(1.0)
-    scorer.finish(1.0)
+    scorer.finish(1.0, failed=True)
     assert ended == [True] and scorer.result(1.0).ticks == len(scorer.scores) == 10
 
 
