@@ -70,6 +70,7 @@ def ends_of(covey: Covey) -> dict[str, float]:
     return {line["message"].removeprefix("killed "): line["time"] for line in lines if line["message"].startswith("killed ")}
 
 
+@pytest.mark.nightly
 def test_a_stopped_agent_is_replaced_and_slows_nobody_and_changes_nothing_when_it_goes_on(covey: Covey) -> None:
     covey.start("up", "ledger.toml", "--rate", "1", "--seconds", "1000", "--record")
     begin = covey.wait(lambda data: data["swarm"]["tick"] >= 8)["swarm"]["tick"]
