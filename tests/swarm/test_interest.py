@@ -171,6 +171,14 @@ def test_mass_is_kept_when_agents_die() -> None:
 
 
 @pytest.mark.slow
+def test_who_has_no_cell_keeps_the_copies_with_which_it_takes_over_from_the_dead() -> None:
+    """While some agents of the team own nothing, a third of all die: those who get a cell now know all that the dead knew."""
+    faults = (FaultSettings(at=4.0, verb="kill", who="30%"),)
+    everything, neighbours = (watch(large(4, "4", interest, *faults, seconds=5.5)) for interest in ("all", "neighbours"))
+    assert neighbours.masses == pytest.approx(everything.masses, rel=1e-9)
+
+
+@pytest.mark.slow
 @pytest.mark.nightly
 def test_with_loss_the_mass_stays() -> None:
     faults = (FaultSettings(at=2.0, verb="loss", value=0.2),)
