@@ -67,7 +67,7 @@ class Split:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("clock", ["lockstep", "realtime"])
+@pytest.mark.parametrize("clock", ["lockstep", pytest.param("realtime", marks=pytest.mark.nightly)])
 def test_when_two_of_sixteen_do_not_hear_each_other_both_ask_for_a_new_session_and_nobody_else_does(
     clock: Literal["lockstep", "realtime"],
 ) -> None:

@@ -20,11 +20,11 @@ QUICK = [  # some seconds
 ]
 SHORT = case_of("20E10G-all/deaths/1")
 SLOW = [  # with QUICK and TAPPED, what continuous integration plays: every trouble with either interest, and every swarm with either
-    "20E10G-all/lockstep/1",
-    "20E10G-neighbours/deaths/1",
+    "20E10G-neighbours/realtime/1",
     "anisotropic-all/loss/1",
-    "efficacy-all/realtime/1",
-    "efficacy-neighbours/realtime/1",
+    "anisotropic-all/realtime/1",
+    "efficacy-all/lockstep/1",
+    "efficacy-neighbours/deaths/1",
 ]
 NIGHTLY = pytest.mark.nightly
 TAPPED = "anisotropic-neighbours/loss/1"

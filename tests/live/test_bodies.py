@@ -52,6 +52,7 @@ def test_eight_agents_and_eight_bodies_walk_the_way_of_the_world_driven_run_to_t
 
 
 @pytest.mark.alone  # who is late misses a round, and bits differ
+@pytest.mark.nightly
 def test_in_real_time_too_without_any_conductor(covey: Covey) -> None:
     """At least one run of three; one that is disturbed by something else on the machine says so."""
     expected, disturbed = simulated(), []

@@ -107,6 +107,7 @@ def test_an_agent_of_200_ms_a_round_is_skipped_by_nobody(covey: Covey) -> None:
     assert 0.99 <= statistics.median(journal.masses(8)) <= 1.01
 
 
+@pytest.mark.nightly
 def test_an_agent_slower_than_the_ticks_keeps_a_pace_with_its_peers_and_works_off_no_queue(covey: Covey) -> None:
     (covey.folder / "dawdle.py").write_text(SLOW.format(seconds=0.6))
     covey.start("up", "ledger.toml", "--rate", "1", "--seconds", "1000", "--record", "--control", "dawdle:Slow")

@@ -8,6 +8,7 @@ pytestmark = [pytest.mark.live, pytest.mark.slow]
 ARENA = ("--set", "arena.width=70", "--set", "arena.height=70", "--set", "timing.interest=neighbours")
 
 
+@pytest.mark.nightly
 def test_their_cells_tile_the_arena_and_close_again_over_the_dead(covey: Covey) -> None:
     covey.start("up", "efficacy", "--team", "A8,C8", "--lockstep", "--seconds", "100000", *ARENA)
     covey.running()

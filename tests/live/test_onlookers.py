@@ -65,6 +65,7 @@ def test_a_recorder_that_is_killed_a_page_that_is_stopped_and_a_browser_that_rea
     page.kill()
 
 
+@pytest.mark.nightly
 def test_a_full_disk_ends_the_recording_with_a_warning_and_not_the_run(covey: Covey) -> None:
     def little_room() -> None:
         resource.setrlimit(resource.RLIMIT_FSIZE, (ROOM, ROOM))

@@ -65,6 +65,7 @@ def test_a_recording_alone_gives_the_figures_of_the_live_run(covey: Covey, pace:
     assert [kill["name"] for kill in again["kills"]] == ["s3"]
 
 
+@pytest.mark.nightly
 def test_a_swarm_that_was_cut_in_two_is_cut_in_every_recording(covey: Covey) -> None:
     """In that of the run and in that of an onlooker, who is told by the supervisor, for no key says it."""
     process = covey.start("up", "quick", "--seconds", "1000", "--rate", "2", "--record", "--set", "network.link_faults=true")

@@ -77,6 +77,7 @@ def test_when_a_peer_of_ours_dies_the_stranger_takes_its_part_of_the_cell_with_w
     assert [score.mass / MASS for score in scores] == pytest.approx([1.0] * len(scores), abs=0.02)
 
 
+@pytest.mark.nightly
 def test_in_real_time_a_stranger_moves_within_the_limits_and_cuts_the_diagram_of_the_others(covey: Covey) -> None:
     words = ("--run", "seat", "--rate", "0.5", "--set", "team.composition=A1,B2", "--seconds", "1000", "--record")
     covey.start("up", "quick", *words, "--set", "network.lease=30")

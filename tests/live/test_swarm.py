@@ -54,6 +54,7 @@ def test_a_live_swarm_of_gaussian_mixtures_follows_the_simulation_to_the_last_bi
 
 
 @pytest.mark.slow
+@pytest.mark.nightly
 def test_the_cells_of_the_rest_cover_the_arena_again_after_one_and_after_five_deaths(covey: Covey) -> None:
     words = ("--seconds", "30", "--kill", "1@4", "--kill", "5@8", *PATIENT)
     result = covey.result("up", "convergence", "--lockstep", *words)
@@ -68,6 +69,7 @@ def test_the_cells_of_the_rest_cover_the_arena_again_after_one_and_after_five_de
 
 
 @pytest.mark.slow
+@pytest.mark.nightly
 def test_in_real_time_a_dead_body_stands_still_and_a_restarted_agent_finds_it_there(covey: Covey) -> None:
     covey.start("up", "quick", "--seconds", "100000", "--rate", "4")
     covey.running()

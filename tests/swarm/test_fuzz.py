@@ -12,7 +12,7 @@ from deploy.scenario import FaultSettings
 from deploy.verify import fuzz
 from deploy.verify.fuzz import BLANK, CALM_END, HEAL_AT, KINDS, PROFILES, SETTLE, Case, Failure, draw, healing, play, settled_at, shrink
 from deploy.verify.invariants import LOADS
-from tests.swarm.mutants import MUTANTS, Mutant, no_dedupe_by_id
+from tests.swarm.mutants import MUTANTS, Mutant, births_by_the_owner_only, no_dedupe_by_id, no_overlap_rule
 
 KEPT = [int(line.split()[0]) for line in (Path(__file__).parent / "seeds.txt").read_text().splitlines() if not line.startswith("#")]
 
@@ -149,9 +149,13 @@ def notices(mutant: Mutant, case: Case) -> bool:
         return mutant(case, patch) is not None
 
 
+LATE = (births_by_the_owner_only, no_overlap_rule)  # noticed after many ticks, so nightly
+RULES = [pytest.param(mutant, marks=pytest.mark.nightly if mutant in LATE else (), id=mutant.__name__) for mutant in MUTANTS]
+
+
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::RuntimeWarning")
-@pytest.mark.parametrize("mutant", MUTANTS, ids=lambda mutant: mutant.__name__)
+@pytest.mark.parametrize("mutant", RULES)
 def test_a_rule_left_out_is_noticed_within_a_hundred_seeds(mutant: Mutant) -> None:
     """The seeds that noticed it when this was written come first."""
     assert any(notices(mutant, draw(seed)) for seed in dict.fromkeys([*MUTANTS[mutant], *range(1, 101)]))

@@ -13,9 +13,8 @@ def relative(seen: Watched, start: float = 0.0) -> np.ndarray:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("loss", "mass", "hole", "overlap"), [(0.1, 0.01, 0.01, 0.01), pytest.param(0.3, 0.02, 0.03, 0.04, marks=pytest.mark.nightly)]
-)
+@pytest.mark.nightly
+@pytest.mark.parametrize(("loss", "mass", "hole", "overlap"), [(0.1, 0.01, 0.01, 0.01), (0.3, 0.02, 0.03, 0.04)])
 def test_loss_moves_the_mean_mass_hole_and_overlap_by_little(loss: float, mass: float, hole: float, overlap: float) -> None:
     seen = watch(ledger(fault(0.0, "drop", "100%", loss), run__seconds=60.0, agents=12, side=60.0), clock="realtime")
     means = relative(seen).mean(), np.mean(seen.holes), np.mean(seen.overlaps)

@@ -79,7 +79,8 @@ def test_agents_whose_rounds_last_longer_than_a_stall_slow_down_as_well(dt: floa
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("share", "most"), [pytest.param(0.6, 1.8, marks=pytest.mark.nightly), (0.4, 2.1)])
+@pytest.mark.nightly
+@pytest.mark.parametrize(("share", "most"), [(0.6, 1.8), (0.4, 2.1)])
 def test_starved_agents_lose_little_since_they_use_their_own_scans_between_rounds(share: float, most: float) -> None:
     """Without these scans the error is 2.5 and 3.1 times that of agents with time."""
     starving, fed = (
