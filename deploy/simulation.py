@@ -90,6 +90,7 @@ class Simulation:
         period = scenario.run.dt / scenario.run.rate if clock == "lockstep" else 0.0  # virtual time passes as fast as the world's
         self.bus = VirtualBus(link=link, command_delay=period)
         self.scorer = Scorer(self.scenario, scores=scores)
+        self.scorer.deaths.in_world_time = True
         run = self.scenario.run  # the world waits longer for a command than a command takes
         patient = msgspec.structs.replace(self.scenario, run=msgspec.structs.replace(run, patience=max(run.patience, 2.0 * period)))
         self.world = World(world_config(patient), 1)

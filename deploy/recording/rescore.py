@@ -29,6 +29,7 @@ def rescore(recording: Recording) -> Scorer:
 def rescore_slowly(recording: Recording, scorer: Scorer) -> Iterator[float]:
     """Show a recording to a scorer; gives the world's time, s, after every thing that was heard, and is finished at the end."""
     now = 0.0
+    scorer.deaths.in_world_time = recording.wall_seconds is None
     faults = deque(recording.faults)
     for entry in recording.entries():
         now = entry.published / 1e9

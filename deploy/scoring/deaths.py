@@ -22,10 +22,14 @@ class _Death:
 
 
 class Deaths:
-    """Takes deaths and what was scored at every tick. An agent in `paused`, on request, has not died when its token is lost."""
+    """Takes deaths and what was scored at every tick. An agent in `paused`, on request, has not died when its token is lost.
+
+    A hole is measured by the driver's clock, or with `in_world_time` by the world's, as in a simulation: its driver waits in no time.
+    """
 
     def __init__(self) -> None:
         self.paused: set[str] = set()
+        self.in_world_time = False
         self._deaths: list[_Death] = []
 
     def lose(self, name: str, tick: int, time: float, now: float, cell: np.ndarray) -> None:
@@ -43,7 +47,8 @@ class Deaths:
             if loss.is_over or view.tick <= loss.tick:
                 continue
             if is_taken(loss.name, loss.cell, view):
-                loss.closed = now - loss.now, view.tick - loss.tick
+                seconds = view.time - loss.time if self.in_world_time else now - loss.now
+                loss.closed = seconds, view.tick - loss.tick
             loss.is_over = loss.closed is not None or view.owns_a_cell(loss.name)
 
     def kills(self) -> tuple[Kill, ...]:

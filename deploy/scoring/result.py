@@ -33,7 +33,7 @@ class Kill(msgspec.Struct, frozen=True, kw_only=True):
     name: str
     tick: int  # the newest when it went
     time: float  # of the world, s
-    closed_seconds: float | None  # wall s, or virtual s in a simulation; None: the run ended before, or the agent was back before
+    closed_seconds: float | None  # wall s, or world s in a simulation; None: the run ended before, or the agent was back before
     closed_ticks: int | None
 
 

@@ -9,7 +9,8 @@ import pytest
 from deploy.cli.recordings import score
 from deploy.recording.observers import Observers, open_recorder
 from deploy.recording.recording import Recording
-from deploy.scenario import resolve
+from deploy.recording.rescore import rescore
+from deploy.scenario import FaultSettings, resolve
 from deploy.simulation import Simulation
 
 
@@ -27,6 +28,18 @@ def test_the_score_of_a_recording_is_worked_out_anew_and_not_read_from_the_resul
     assert (printed["steady_ospa"], printed["mean_gospa"]) == (true.steady_ospa, true.mean_gospa)
     assert "largest difference to the figures of the run itself: 3" in err
     assert printed["wall_s"] is None  # a simulation publishes at the world's time
+
+
+@pytest.mark.parametrize("rate", [1.0, 4.0])
+def test_in_a_simulation_a_hole_is_closed_in_the_worlds_time_whoever_is_waited_for_meanwhile(tmp_path: Path, rate: float) -> None:
+    faults = (FaultSettings(at=1.0, verb="kill", who="s1"), FaultSettings(at=1.0, verb="pause", who="s2"))
+    scenario = msgspec.structs.replace(resolve("quick", {"run.seconds": 3.0, "run.rate": rate}), faults=faults)
+    simulation = Simulation(scenario)
+    Observers(simulation.scorer, open_recorder(tmp_path / "a.mcap", simulation.scenario, virtual=True))
+    (kill,) = simulation.run().kills
+    assert (kill.closed_seconds, kill.closed_ticks) == (0.25, 1)
+    assert simulation.bus.now > 3.0 / rate + 1.0, "the tick that closes the hole waits for the paused agent"
+    assert rescore(Recording(tmp_path / "a.mcap")).result(None).kills == (kill,)
 
 
 def test_a_recording_without_an_end_is_said_to_have_none_whether_its_recorder_died_or_not(
