@@ -10,11 +10,12 @@ from typing import Any
 import msgspec
 import tomli_w
 
-from agents.config import AgentConfig
+from agents.config import AgentConfig, ExtractionSettings
 from protocol.endpoints import check_files
 from protocol.settings import (
     BadSetting,
     Fraction,
+    NetworkSettings,
     NotNegative,
     Positive,
     RunSettings,
@@ -158,9 +159,28 @@ def read(name: str, overrides: dict[str, Any] | None = None, *, agents_too: bool
     if not agents_too and _is_of_agents(data):
         right = "a scenario is the run.toml beside it"
         raise BadSetting(f"{path}: settings of agents, as a run writes them; {right}. `covey check {path} --network` looks for their swarm")
+    _leave_out_derived(data)
     for dotted, value in (overrides or {}).items():
         _lay_over(data, dotted, value)
     return data, str(path) if not overrides else f"{path} with options"
+
+
+def derived_settings(clock: object, law: object) -> dict[str, dict[str, Any]]:
+    """Settings that follow from clock and control law where nobody says them, by section and name."""
+    extraction = msgspec.to_builtins(ExtractionSettings()) | (SEARCH_EXTRACTION if law == "search-and-track" else {})
+    haste = LOCKSTEP_HASTE if clock == "lockstep" else 1
+    return {"network": {"most_per_second": haste * NetworkSettings().most_per_second}, "extraction": extraction}
+
+
+def _leave_out_derived(data: dict[str, Any]) -> None:
+    """Take out of a resolved scenario what was derived and has not been changed since: with options something else may follow."""
+    run, control = data.get("run"), data.get("control", {})
+    if not isinstance(run, dict) or not isinstance(run.get("derived"), list) or not isinstance(control, dict):
+        return
+    for section, fields in derived_settings(run.get("clock"), control.get("mode")).items():
+        if isinstance(contents := data.get(section), dict):
+            gone = [field for field in fields if f"{section}.{field}" in run["derived"] and contents.get(field) == fields[field]]
+            data[section] = {field: value for field, value in contents.items() if field not in gone}
 
 
 def _is_of_agents(data: dict[str, Any]) -> bool:
@@ -182,10 +202,12 @@ def spelled_out(scenario: Scenario, data: dict[str, Any], name: str, source: str
         raise BadSetting(f"{source}: {'' if str(error).startswith(('team.', 'sensors.')) else f'{field}: '}{error}") from None
     if scenario.filter.compact and scenario.timing.overlap:  # copies of a particle are known by its id
         raise BadSetting(f"{source}: filter.compact = true: each owner numbers particles anew, so timing.overlap should be 0")
-    run, network = msgspec.structs.replace(scenario.run, scenario=scenario.run.scenario or name), scenario.network
-    if run.clock == "lockstep" and "most_per_second" not in data.get("network", {}):
-        network = msgspec.structs.replace(network, most_per_second=LOCKSTEP_HASTE * network.most_per_second)
-    extraction, said = scenario.extraction, data.get("extraction", {})
+    follows = {
+        section: {field: value for field, value in fields.items() if field not in data.get(section, {})}
+        for section, fields in derived_settings(scenario.run.clock, scenario.control.mode).items()
+    }
+    derived = tuple(f"{section}.{field}" for section, fields in follows.items() for field in fields)
+    run = msgspec.structs.replace(scenario.run, scenario=scenario.run.scenario or name, derived=derived)
     if scenario.control.mode == "search-and-track":
         if scenario.search.horizon < scenario.run.dt:
             raise BadSetting(f"{source}: search.horizon = {scenario.search.horizon:g}: should be run.dt ({scenario.run.dt:g} s) or more")
@@ -196,12 +218,11 @@ def spelled_out(scenario: Scenario, data: dict[str, Any], name: str, source: str
             raise BadSetting(
                 f"{wrong} at most {MOST_SEARCH_BINS}; should be at least {least:g} m; about a fifth of what sensors reach is usual"
             )
-        follows = {field: value for field, value in SEARCH_EXTRACTION.items() if field not in said}
-        extraction = msgspec.structs.replace(extraction, **follows)
     recorded = scenario.recorded
     if recorded.data:  # another process reads it, from another folder
         recorded = msgspec.structs.replace(recorded, data=str((find(name).parent / recorded.data).absolute()))
-    return msgspec.structs.replace(scenario, members=members, team=team, run=run, network=network, recorded=recorded, extraction=extraction)
+    sections = {section: msgspec.structs.replace(getattr(scenario, section), **fields) for section, fields in follows.items()}
+    return msgspec.structs.replace(scenario, members=members, team=team, run=run, recorded=recorded, **sections)
 
 
 def with_run_name(scenario: Scenario, run: str) -> Scenario:

@@ -11,6 +11,7 @@ class WorldRun(RunSettings, frozen=True, kw_only=True):
     """[run] with the seed from which target tracks, starts and detections follow; no agent reads it."""
 
     seed: Seed = 1
+    derived: tuple[str, ...] = ()  # in a resolved scenario: settings that nobody said, which follow from others, and do so again
 
 
 class TargetSettings(Section, frozen=True, kw_only=True):

@@ -120,6 +120,14 @@ def test_a_scenario_can_be_laid_over_again_and_its_team_changed() -> None:
     assert covey.scenario(first) == first
 
 
+def test_what_is_laid_over_a_scenario_gives_what_it_gives_over_its_name() -> None:
+    for first in ("lloyd", "search-and-track"):
+        base = covey.scenario("efficacy", control=first, rate=2.0)
+        for law in ("lloyd", "search-and-track"):
+            assert covey.scenario(base, control=law) == covey.scenario("efficacy", control=law, settings={"run.rate": 2.0})
+        assert covey.scenario(base, triple="ABC", rate=2.0) == covey.scenario("efficacy", triple="ABC", control=first, rate=2.0)
+
+
 def test_own_classes_and_objects_do_what_their_names_do() -> None:
     class Local(Stay):
         """A law that no import finds."""

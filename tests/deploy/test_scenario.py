@@ -243,6 +243,31 @@ def test_set_without_a_section_a_key_or_a_value_is_refused(text: str) -> None:
         parse_set(text)
 
 
+@pytest.mark.parametrize("law", ["lloyd", "search-and-track"])
+@pytest.mark.parametrize("name", ["convergence", "solent"])
+def test_what_followed_from_others_in_a_resolved_scenario_follows_anew_and_what_was_said_stays(name: str, law: str, tmp_path: Path) -> None:
+    told = {"control.mode": law, "run.clock": "lockstep" if law == "lloyd" else "realtime"}
+    first = tmp_path / "first.toml"
+    for other in ("lloyd", "search-and-track"):
+        first.write_text(toml_text(resolve(name, {"control.mode": other, "run.clock": "realtime"})), encoding="utf-8")
+        again, fresh = resolve(str(first), told), resolve(name, told)
+        assert (again.extraction, again.network, again.run) == (fresh.extraction, fresh.network, fresh.run)
+    first.write_text(toml_text(again).replace(f"bin = {again.extraction.bin}", "bin = 0.9"), encoding="utf-8")
+    changed = resolve(str(first), {"control.mode": "lloyd"})
+    assert changed.extraction.bin == 0.9 and "extraction.bin" not in changed.run.derived
+
+
+@pytest.mark.parametrize("derived", ["7", '"extraction.bin"', "[3, {}]", '["team.composition", "extraction.bin.more"]'])
+def test_a_list_of_what_was_derived_that_is_none_changes_nothing_or_is_told(derived: str, tmp_path: Path) -> None:
+    path = tmp_path / "scenario.toml"
+    path.write_text(f"[run]\nderived = {derived}\n[extraction]\nbin = 1.0\n", encoding="utf-8")
+    if derived.startswith('["'):
+        assert resolve(str(path), {"control.mode": "search-and-track"}).extraction.bin == 1.0
+    else:
+        with pytest.raises(BadSetting, match=r"run\.derived"):
+            resolve(str(path))
+
+
 def test_in_lockstep_more_messages_a_second_are_no_flood_unless_the_scenario_says_how_many() -> None:
     assert resolve("efficacy").network.most_per_second == 1000
     assert resolve("efficacy", {"run.clock": "lockstep"}).network.most_per_second == 5000

@@ -108,7 +108,7 @@ def scenario(
 def _lay_over(found: Scenario, options: RunOptions, settings: Mapping[str, Any]) -> Scenario:
     """Options over a scenario that is resolved already: it goes the way of a file."""
     data = msgspec.to_builtins(found)
-    if options.team is not None:
+    if options.team is not None or (options.triple is not None and found.team.composition):
         del data["members"]
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "scenario.toml"
