@@ -50,7 +50,7 @@ def show(rows: Sequence[Row], console: Console) -> None:
         found = [summarise(rows, group, method) for method in methods]
         cells = [f"{one.ospa:.2f} ({one.low:.2f} - {one.high:.2f})" if one else "-" for one in found]
         pairs = [compare(rows, group, methods[0], other) for other in methods[1:]]
-        gains = [f"{100 * pair.gain:+.0f} %, {pair.wins}/{len(pair.differences)}, {_p(pair.wilcoxon)}" if pair else "-" for pair in pairs]
+        gains = [f"{_gain(pair.gain)}, {pair.wins}/{len(pair.differences)}, {_p(pair.wilcoxon)}" if pair else "-" for pair in pairs]
         in_view = " / ".join(f"{100.0 * one.in_view:.0f}" if one else "-" for one in found)
         table.add_row(group.team, str(group.targets), *cells, *gains, f"{in_view} %")
     console.print(table)
@@ -58,6 +58,10 @@ def show(rows: Sequence[Row], console: Console) -> None:
         "gain: mean difference on the same seeds, seeds won, p of Wilcoxon's signed-rank test; in view: share of targets over the last 5 s",
         soft_wrap=True,
     )
+
+
+def _gain(value: float | None) -> str:
+    return "-" if value is None else f"{100 * value:+.0f} %"
 
 
 def _p(value: float | None) -> str:

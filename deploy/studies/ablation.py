@@ -28,7 +28,9 @@ class MethodSummary(NamedTuple):
     gospa: float
     parts: tuple[float, ...]  # of the OSPA, in the order of `PARTS`
     gospa_parts: tuple[float, ...]  # of the GOSPA
-    gain: float | None  # of the OSPA over the base method on the same seeds, as a share of the base; None for the base and without seeds
+    gain: (
+        float | None
+    )  # of the OSPA over the base method on the same seeds, as a share of the base; None for the base, without seeds, and over no error
     low: float | None  # ends of the interval of 95 % of the gain
     high: float | None
 
@@ -47,7 +49,7 @@ def _line(rows: Sequence[Row], group: Group, method: str, base: str) -> MethodSu
     gospa = _mean(values(rows, group, method, "mean_gospa"))
     parts, gospa_parts = (tuple(_mean(values(rows, group, method, f"{score}_{part}")) for part in PARTS) for score in ("ospa", "gospa"))
     pairs = np.array([(ospa[seed], others[seed]) for seed in ospa if seed in others and method != base]).reshape(-1, 2)
-    gain, low, high = gains(pairs) if len(pairs) else (None, None, None)
+    gain, low, high = gains(pairs) if pairs[:, 1].any() else (None, None, None)
     return MethodSummary(group, method, len(ospa), _mean(ospa), gospa, parts, gospa_parts, gain, low, high)
 
 
@@ -59,9 +61,10 @@ def _mean(found: dict[int, float]) -> float:
 def gains(pairs: np.ndarray) -> tuple[float, float, float]:
     """The mean gain over paired seeds (N, 2) of OSPA, own and base, and the ends of its interval of 95 %, as shares of the base.
 
-    The bootstrap draws seeds with replacement; its numbers are always the same.
+    The bootstrap draws seeds with replacement; its numbers are always the same. Draws in which the base has no error do not count.
     """
     drawn = np.random.default_rng(25).integers(0, len(pairs), (RESAMPLES, len(pairs)))
+    drawn = drawn[pairs[drawn, 1].any(axis=1)]
     own, base = pairs[drawn, 0].mean(axis=1), pairs[drawn, 1].mean(axis=1)
     low, high = np.quantile(1.0 - own / base, [0.025, 0.975])
     return float(1.0 - pairs[:, 0].mean() / pairs[:, 1].mean()), float(low), float(high)

@@ -4,8 +4,8 @@ Eight sensors in a closed arena of 40 m lose two agents, after a quarter and aft
 is played with some models of bodies, under the same tracks, starts, dice and deaths. Speeds are measured by `covey bench bodies`.
 """
 
-import json
 import math
+import shlex
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -14,9 +14,9 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from deploy.scenario import FaultSettings, Scenario, find, resolve
+from deploy.scenario import FaultSettings, Scenario, find, resolve, toml_value
 from deploy.simulation import Simulation
-from deploy.studies.trials import CORE, Row, key_of, source_hash
+from deploy.studies.trials import CORE, Row, check_free, key_of, source_hash
 from protocol.observer_messages import Truth
 from protocol.random_streams import stream
 from protocol.settings import BadSetting
@@ -65,7 +65,8 @@ class BodyRun(msgspec.Struct, frozen=True, kw_only=True):
     def command(self) -> str:
         """The command that repeats this run."""
         words = f"covey study bodies --trials 1 --seed {self.seed} --seconds {self.seconds:g} --methods {self.model}"
-        return " ".join([words, *(f"--set {dotted}={json.dumps(value)}" for dotted, value in self.options.items())])
+        settings = [f"--set {shlex.quote(f'{dotted}={toml_value(value)}')}" for dotted, value in self.options.items()]
+        return " ".join([words, *settings])
 
 
 class Gaps:
@@ -99,6 +100,7 @@ def plan(trials: int, seed: int, seconds: float, models: Sequence[str], options:
     for model in models:
         if model not in MODELS:
             raise BadSetting(f"--methods {model}: should be one or more of {', '.join(MODELS)}")
+    check_free(options, {"run.seed": "seed", **{dotted: "methods" for changes in MODELS.values() for dotted in changes}})
     runs = [
         BodyRun(model=model, seed=number, seconds=seconds, options=options) for number in range(seed, seed + trials) for model in models
     ]
@@ -170,7 +172,7 @@ def _line(model: str, rows: Sequence[Row], points: dict[int, float]) -> Row:
         "pairs": 0,
         **dict.fromkeys(("ratio", "ratio_low", "ratio_high", "ratio_of_means")),
     }
-    pairs = [(row["steady_ospa"], points[row["seed"]]) for row in rows if row["seed"] in points]
+    pairs = [(row["steady_ospa"], points[row["seed"]]) for row in rows if points.get(row["seed"])]  # to no error there is no ratio
     if pairs:
         ratios = [one / point for one, point in pairs]
         low, middle, high = map(float, np.quantile(ratios, [0.25, 0.5, 0.75]))

@@ -6,7 +6,7 @@ from typing import Any
 import msgspec
 
 from deploy.scenario import TeamSettings, parse_set, team_counts
-from deploy.studies.trials import ABLATIONS, Trial, check_method
+from deploy.studies.trials import ABLATIONS, METHODS, Trial, check_free, check_method
 from protocol.settings import BadOption, BadSetting
 
 
@@ -48,6 +48,7 @@ STUDIES: dict[str, Design] = {
         elsewhere={"1": ("convergence", 8)},
     ),
 }
+OWN_OPTIONS = {"run.seed": "seed", "team.composition": "teams", "targets.count": "targets"}  # of a study, by the settings of its trials
 QUICK: dict[str, dict[str, Any]] = {  # what --quick lays over a study: under 3 minutes on 2 cores
     "convergence": {"trials": 4, "options": {"run.dt": 0.5}},
     "efficacy": {"trials": 3, "options": {"run.dt": 0.5, "run.seconds": 40.0}},
@@ -72,6 +73,8 @@ def plan(found: Design) -> list[Trial]:
     """All trials, seed by seed, so that a study that is cut short has compared everything equally often; checked by resolving them."""
     for name in found.methods:
         check_method(name)
+    by_all = set.intersection(*(set(METHODS[name]) for name in found.methods))
+    check_free(found.options, dict.fromkeys(by_all, "methods") | OWN_OPTIONS)
     for team in found.teams:
         team_counts(TeamSettings(composition=team, triple=found.options.get("team.triple", "ACD")))
     seeds = range(found.first_seed, found.first_seed + found.trials)

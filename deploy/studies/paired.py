@@ -21,7 +21,7 @@ class Comparison(NamedTuple):
     method: str
     other: str
     differences: tuple[float, ...]
-    gain: float  # mean difference, share of the other's mean
+    gain: float | None  # mean difference, share of the other's mean; None where the other has no error
     wins: int  # seeds with a smaller error than the other
     wilcoxon: float | None  # p of the signed-rank test, two-sided; None without differences
     sign: float | None  # p of the sign test, two-sided
@@ -46,7 +46,8 @@ def compare(rows: Sequence[Row], group: Group, method: str, other: str) -> Compa
     if not seeds:
         return None
     differences = tuple(theirs[seed] - ours[seed] for seed in seeds)
-    gain = mean(differences) / mean(theirs[seed] for seed in seeds)
+    reference = mean(theirs[seed] for seed in seeds)
+    gain = mean(differences) / reference if reference else None
     wins = sum(difference > 0.0 for difference in differences)
     return Comparison(group, method, other, differences, gain, wins, *_tests(differences))
 

@@ -5,6 +5,7 @@ tracks, starts and dice. Beside each bout with deaths goes a *fresh* one: the sa
 world does not wait (`realtime` in virtual time), so that what is late is lost.
 """
 
+import math
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -16,7 +17,7 @@ import numpy as np
 from deploy.faults.faults import Schedule
 from deploy.scenario import FaultSettings, Scenario, find, resolve
 from deploy.simulation import Simulation
-from deploy.studies.trials import CORE, Row, key_of, source_hash
+from deploy.studies.trials import CORE, Row, check_free, key_of, source_hash
 from protocol.settings import BadSetting
 
 SCENARIO = "efficacy"
@@ -93,6 +94,7 @@ def code() -> str:
 
 def plan(trials: int, seed: int, at: float, seconds: float, options: dict[str, Any]) -> list[Bout]:
     """All bouts of a study, seed by seed; raises BadSetting for a run that ends too early or a team that is too small."""
+    check_free(options, {"run.seed": "seed"})
     least = at + SETTLED + FIRST
     if trials < 1 or seconds < least:
         raise BadSetting(f"--trials {trials} --seconds {seconds:g}: should be at least one trial, and at least {least:g} s")
@@ -173,7 +175,7 @@ def line(row: Row, reference: float) -> Row:
         "first": found.mean(0.0, FIRST),
         "settled": settled,
         "reference": reference,
-        "ratio": settled / reference,
+        "ratio": settled / reference if reference else math.inf if settled else 1.0,
         "recovery_s": recovery(found, row["level"] if row["kind"] == "partition" else 0.0, reference),
         "largest_hole": row["hole"],
     }

@@ -8,7 +8,7 @@ import hashlib
 import json
 import shlex
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from functools import lru_cache
 from pathlib import Path
@@ -16,11 +16,11 @@ from typing import Any
 
 import msgspec
 
-from deploy.scenario import SEARCH_EXTRACTION, Scenario, find, own_classes, resolve
+from deploy.scenario import SEARCH_EXTRACTION, Scenario, find, own_classes, resolve, toml_value
 from deploy.scoring.error_parts import ErrorParts
 from deploy.scoring.result import Result
 from deploy.simulation import Simulation
-from protocol.settings import BadOption, load_named
+from protocol.settings import BadOption, BadSetting, load_named
 
 Row = dict[str, Any]
 ROOMS = Path(__file__).resolve().parents[2]  # the folder that holds the rooms
@@ -120,7 +120,7 @@ class Trial(msgspec.Struct, frozen=True, kw_only=True):
         """The command that repeats this trial."""
         words = ["covey", "simulate", self.scenario]
         for dotted, value in self.overrides().items():
-            words += [FLAGS[dotted], str(value)] if dotted in FLAGS else ["--set", f"{dotted}={json.dumps(value)}"]
+            words += [FLAGS[dotted], str(value)] if dotted in FLAGS else ["--set", f"{dotted}={toml_value(value)}"]
         return shlex.join([*words, "--json"])
 
 
@@ -152,6 +152,13 @@ def _recorded_files(scenario: Scenario) -> list[Path]:
     if scenario.recorded.kind == "none":
         return []
     return sorted(path for path in (data.iterdir() if data.is_dir() else [data]) if path.is_file())
+
+
+def check_free(options: Mapping[str, Any], taken: Mapping[str, str]) -> None:
+    """Raise BadSetting for a setting of all runs that none of them would have; `taken` names the options by which a study sets it."""
+    for dotted in options:
+        if dotted in taken:
+            raise BadSetting(f"{dotted} = {options[dotted]!r}: the study itself sets it; should be given as {taken[dotted]}")
 
 
 def check_method(name: str) -> None:

@@ -59,6 +59,7 @@ def test_the_gain_is_that_of_the_means_and_equal_pairs_leave_no_doubt() -> None:
     assert gains(np.array([[1.0, 2.0]] * 3)) == pytest.approx((0.5, 0.5, 0.5))
     gain, low, high = gains(np.array([[1.0, 2.0], [3.0, 4.0], [2.0, 5.0], [2.0, 4.0]]))
     assert low < gain < high
+    assert gains(np.array([[1.0, 0.0], [1.0, 4.0]])) == pytest.approx((0.5, 0.5, 0.75)), "draws without an error of the base do not count"
 
 
 def test_every_team_is_compared_on_the_same_seeds_and_the_closed_arena_is_its_own_scenario() -> None:

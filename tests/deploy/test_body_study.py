@@ -2,6 +2,8 @@
 
 import json
 import math
+import shlex
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -9,6 +11,7 @@ import numpy as np
 import pytest
 
 from deploy.cli.bodies import QUICK, run_body_study
+from deploy.scenario import parse_set
 from deploy.studies.bodies import MODELS, BodyRun, Gaps, plan, play, summary
 from deploy.studies.trials import Row
 from protocol.observer_messages import Truth
@@ -51,6 +54,20 @@ def test_the_summary_compares_with_points_of_the_same_seeds() -> None:
     assert (robots["runs"], robots["touches"], robots["runs_with_touches"], robots["least_distance"]) == (3, 3, 1, 0.5)
     [alone] = summary(rows[2:])
     assert alone["ratio"] is None and alone["pairs"] == 0
+    _, beside = summary([row("points", 1, 0.0), row("points", 2, 4.0), row("mujoco", 1, 3.0), row("mujoco", 2, 4.0)])
+    assert (beside["ratio"], beside["pairs"]) == (1.0, 1), "to points without an error there is no ratio"
+
+
+@pytest.mark.parametrize(("setting", "option"), [("run.seed", "seed"), ("limits.radius", "methods"), ("bodies.model", "methods")])
+def test_a_setting_that_the_study_itself_sets_is_refused(setting: str, option: str) -> None:
+    with pytest.raises(BadSetting, match=rf"^{setting} = 3: the study itself sets it; should be given as {option}$"):
+        plan(1, 1, 40.0, ("points",), {setting: 3})
+
+
+def test_the_command_of_a_run_says_its_settings_as_a_shell_and_covey_read_them() -> None:
+    options = {"network.seeds": ["tcp/127.0.0.1:7", "a b"], "arena.width": 30.0}
+    words = shlex.split(BodyRun(model="points", seed=1, seconds=20.0, options=options).command())
+    assert dict(parse_set(value) for flag, value in pairwise(words) if flag == "--set") == options
 
 
 def test_points_meet_and_bodies_with_a_radius_do_not() -> None:

@@ -1,7 +1,9 @@
 """Paired comparisons by hand."""
 
 import pytest
+from rich.console import Console
 
+from deploy.cli.study import show
 from deploy.studies.paired import Group, compare, groups_of, summarise
 from deploy.studies.trials import Row
 
@@ -40,6 +42,14 @@ def test_eight_wins_of_eight_have_p_of_two_in_two_to_the_eighth() -> None:
 def test_equal_methods_have_no_p() -> None:
     found = compare(rows("power", [1.0, 2.0]) + rows("voronoi", [1.0, 2.0]), GROUP, "power", "voronoi")
     assert found is not None and (found.gain, found.wins, found.wilcoxon, found.sign) == (0.0, 0, None, None)
+
+
+def test_over_a_method_without_an_error_there_is_no_gain(capsys: pytest.CaptureFixture[str]) -> None:
+    both = rows("power", [0.5, 0.5]) + rows("voronoi", [0.0, 0.0])
+    found = compare(both, GROUP, "power", "voronoi")
+    assert found is not None and (found.gain, found.wins) == (None, 0)
+    show(both, Console(width=200))
+    assert "-, 0/2" in capsys.readouterr().out
 
 
 def test_summary_of_a_group_alone() -> None:

@@ -49,6 +49,29 @@ def test_what_cannot_be_run_is_refused_before_anything_runs() -> None:
         plan(Design(scenario="efficacy", teams=("2",), targets=(30,), methods=("power",), options={"run.dt": -1.0}))
 
 
+@pytest.mark.parametrize(
+    ("setting", "methods", "option"),
+    [
+        ("run.seed", ("power",), "seed"),
+        ("team.composition", ("power",), "teams"),
+        ("targets.count", ("power",), "targets"),
+        ("partition.kind", ("power", "voronoi"), "methods"),
+        ("control.mode", ("search-and-track", "static"), "methods"),
+    ],
+)
+def test_a_setting_that_no_trial_would_have_is_refused_and_named_with_its_option(
+    setting: str, methods: tuple[str, ...], option: str
+) -> None:
+    found = Design(scenario="quick", teams=("2A",), targets=(3,), methods=methods, options={setting: 7})
+    with pytest.raises(BadSetting, match=rf"^{setting} = 7: the study itself sets it; should be given as {option}$"):
+        plan(found)
+
+
+def test_a_setting_that_some_method_leaves_free_is_that_of_its_trials() -> None:
+    found = Design(scenario="quick", teams=("2A",), targets=(3,), methods=("power", "static"), options={"control.mode": "random"})
+    assert [trial.resolve().control.mode for trial in plan(found)][:2] == ["random", "static"]
+
+
 def test_a_torn_line_is_cut_off_and_the_rest_counts(tmp_path: Path) -> None:
     folder = StudyFolder(tmp_path / "study")
     with folder.claimed():

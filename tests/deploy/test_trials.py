@@ -1,6 +1,7 @@
 """Trials: pairing, rows that repeat themselves, and keys that tell trials apart."""
 
 import shlex
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -67,6 +68,17 @@ def test_a_trial_is_repeated_by_the_command_in_its_row() -> None:
         assert flag == "--set" or value == str(parsed)
     assert msgspec.to_builtins(resolve("quick", overrides)) == msgspec.to_builtins(one.resolve())
     assert simulate(resolve("quick", overrides)).transcript == row["transcript"]
+
+
+def test_the_command_of_a_trial_says_tables_and_texts_as_toml() -> None:
+    tables = {
+        "sensors.X.model": "covey.examples.sensors:RangeFalling",
+        "sensors.X.parameters": {"angle": 90.0, "radius": 9.0, "scale": 6.0},
+    }
+    one = trial("power", **tables, **{"network.seeds": ["tcp/127.0.0.1:7", 'a "b"'], "timing.estimate_every": 2, "birth.background": False})
+    words = shlex.split(one.command())
+    said = dict(parse_set(value) for flag, value in pairwise(words) if flag == "--set")
+    assert said == {name: value for name, value in one.options.items() if name not in FLAGS}
 
 
 def test_a_row_holds_the_result_and_every_setting() -> None:
