@@ -89,7 +89,12 @@ def _scores(score: Score | None) -> Iterator[Family]:
     yield Family("targets_estimated", "gauge", "Targets that the agents report.", [({}, score.estimated)])
     yield Family("mass", "gauge", "Expected targets, sum over the agents.", [({}, score.mass)])
     yield Family("hole_ratio", "gauge", "Share of the arena in no cell.", [({}, score.hole)])
-    yield Family("overlap_ratio", "gauge", "Share of the arena in more than one cell.", [({}, score.overlap)])
+    yield Family(
+        "overlap_ratio",
+        "gauge",
+        "Sum of all cells minus the ground that they cover together, as a share of the arena; may be above 1.",
+        [({}, score.overlap)],
+    )
 
 
 def _agents(picture: Picture) -> Iterator[Family]:

@@ -83,10 +83,9 @@ class KnownAgent:
         self.estimates.clear()
 
 
-def silent_after(scenario: Scenario) -> int:
-    """Ticks without a gossip after which an agent counts as silent: as many as its peers wait, and in real time at least 1 s."""
-    run, rounds = scenario.run, scenario.timing.silent_rounds
-    return max(rounds, math.ceil(run.rate / run.dt)) if run.clock == "realtime" else rounds
+def silent_after(scenario: Scenario, pace: int = 1) -> int:
+    """Ticks without a gossip after which an agent counts as silent: as many as its peers wait at this pace (`PeerTable`)."""
+    return pace * max(scenario.timing.silent_rounds, math.ceil(scenario.ticks_of_silence / pace))
 
 
 KeptMessage = TypeVar("KeptMessage", Gossip, Estimate)
@@ -128,7 +127,6 @@ class Picture:
         self._strangers: dict[str, None] = {}  # the agents that are not in the roster and have no token, the earliest first
         self._numbered = 0
         self._keeps_no_diary = False
-        self._silent_after = silent_after(scenario)
         for name, sensor_class in scenario.members.items():
             self._meet(name, sensor_class, sensor_of(scenario, sensor_class))
 
@@ -348,9 +346,9 @@ class Picture:
 
     def _settle(self, quietly: bool = False) -> None:
         """Find out the state of every agent, and put what has changed on the time line."""
-        reached = self._reached()
+        reached, limit = self._reached(), silent_after(self.scenario, self._pace())
         for known in self.agents.values():
-            old, new = known.state, self._state(known, reached)
+            old, new = known.state, self._state(known, reached, limit)
             if old == new:
                 continue
             known.state = new
@@ -377,13 +375,17 @@ class Picture:
         newest = self.truth.tick if self.truth is not None else 0
         return min(newest, max(ticks)) if len(ticks) > 1 else newest
 
-    def _state(self, known: KnownAgent, reached: int) -> str:
+    def _pace(self) -> int:
+        """The slowest pace of a live agent, which all others keep."""
+        return max((known.estimate.pace for known in self.agents.values() if known.alive and known.estimate is not None), default=1)
+
+    def _state(self, known: KnownAgent, reached: int, limit: int) -> str:
         if known.name in self.paused and known.seen:
             return "paused"  # after a while its token goes, too
         if not known.alive:
             return "dead" if known.seen else "waiting"
         if known.gossip is None or self.truth is None:
             return "alive"
-        if reached - known.gossip.tick > self._silent_after:
+        if reached - known.gossip.tick > limit:
             return "silent"
         return "listening" if known.gossip.listening else "alive"

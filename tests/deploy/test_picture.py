@@ -17,7 +17,7 @@ from protocol.fields import pack
 from protocol.message import Message
 from protocol.messages import Gossip, Hello
 from protocol.node import Alive, Gone, Rejected, received
-from protocol.observer_messages import Truth
+from protocol.observer_messages import Estimate, Truth
 
 
 def scenario(**more: object) -> Scenario:
@@ -128,6 +128,22 @@ def test_a_watcher_that_hears_the_words_of_all_too_late_takes_nobody_for_silent(
 def test_in_real_time_a_second_of_silence_is_allowed_at_any_rate() -> None:
     assert silent_after(scenario(**{"run.clock": "realtime", "run.dt": 0.25, "run.rate": 3.0})) == 12
     assert silent_after(scenario(**{"run.clock": "realtime", "run.dt": 0.5})) == 4
+    assert silent_after(scenario(**{"run.clock": "realtime", "run.dt": 0.5, "timing.silence": 3.0})) == 6
+
+
+def test_at_a_slower_pace_an_agent_is_silent_after_as_many_rounds() -> None:
+    said = received(
+        Estimate(sender="s2", incarnation=1, tick=8, pose=(1.0, 2.0, 0.5), cod=(1.5, 2.5), power_radius=1.0, unused=3.0, pace=8)
+    )
+    others = (Alive("agent", "s1", 1), Alive("agent", "s2", 1), said)
+    picture = shown(*others, truth(8), gossip(8), msgspec.structs.replace(gossip(8), sender="s2"))
+    for tick, state in ((40, "alive"), (41, "silent")):
+        for event in (truth(tick), msgspec.structs.replace(gossip(tick), sender="s2")):
+            picture.see(received(event), 0.0)
+        picture.see(received(truth(tick + 1)), 0.0)
+        assert picture.agents["s1"].state == state, tick
+    picture.see(Gone("agent", "s2", 1), 0.0)
+    assert silent_after(picture.scenario) == 4 and picture.agents["s1"].state == "silent", "the slow one has gone, and its pace with it"
 
 
 def test_who_is_paused_is_paused_and_not_only_silent() -> None:

@@ -8,7 +8,7 @@ export const TEXTS = {
   "in cells": ["Mass in the cells", "The expected number of targets, summed over all agents.", "Each agent counts in its own cell, so no target counts twice."],
   alive: ["Alive", "Agents whose process runs, of all.", "Choose one and kill it: the others take its cell."],
   hole: ["Hole", "The share of the arena that lies in no agent's cell.", "It is 0 unless somebody has just died.", "It closes within a tick or two."],
-  overlap: ["Overlap", "The share of the arena that lies in more than one cell.", "It is 0 while all agents know the same neighbours.", "After a cut each side takes the whole arena."],
+  overlap: ["Overlap", "The sum of all cells minus the ground that they cover together, as a share of the arena.", "It is 0 while all agents know the same neighbours.", "After a cut each side takes the whole arena."],
   messages: ["Messages", "Messages of all agents and of the world, per second of your clock.", "No one is in charge: each agent tells all what it sees."],
   ticks: ["Ticks", "Rounds that the swarm plays per second, and how many were asked for."],
   skipped: ["Skipped", "Rounds that agents left out because they had too little time."],
