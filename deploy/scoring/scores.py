@@ -109,9 +109,9 @@ def _between(axis: list[float], middle: float, width: float) -> slice:
 
 
 def steady_part(scores: Sequence[Score], scenario: Scenario) -> Sequence[Score]:
-    """The scores of the last `study.steady_share` of the run; all of them where it ended before."""
+    """The scores of the last `study.steady_share` of the run, its last tick at least; all of them where it ended before."""
     start = round((1.0 - scenario.study.steady_share) * scenario.run.ticks, 9)  # 1 - 0.7 is a little more than 0.3
-    return [score for score in scores if score.tick >= start] or scores
+    return [score for score in scores if score.tick >= min(start, scenario.run.ticks - 1)] or scores
 
 
 def mean(values: Sequence[float]) -> float:

@@ -52,6 +52,12 @@ def test_the_steady_part_begins_at_a_whole_tick_where_its_share_is_no_binary_num
     assert steady_part([score(tick) for tick in range(20)], shared)[0].tick == 6
 
 
+@pytest.mark.parametrize("share", [0.0, 0.04])
+def test_a_share_of_less_than_a_tick_is_the_last_tick(share: float, scenario: Scenario) -> None:
+    shared = msgspec.structs.replace(scenario, study=msgspec.structs.replace(scenario.study, steady_share=share))
+    assert [one.tick for one in steady_part([score(tick) for tick in range(20)], shared)] == [19]
+
+
 def test_a_run_that_ended_before_its_steady_part_and_one_without_a_tick(scenario: Scenario) -> None:
     assert why([score(0), score(1, mass=6.5)], scenario)["steady_mass"] == 5.5
     assert share_in_view([]) == 0.0
