@@ -42,7 +42,7 @@ class _State:
         self._world = world_names(scenario)
         self._living = dict.fromkeys([*self._members, *self._world])
         self._paused: set[str] = set()
-        self._begun: set[str] = set()  # verbs that have come
+        self._begun: set[str] = set()  # verbs that have come, those of links since all were healed
 
     def due(self, schedule: Schedule, time: float) -> list[Action]:
         """The actions of a tick, which are all drawn before the first of them."""
@@ -59,11 +59,15 @@ class _State:
             yield FaultFinding(f"{verb} at {time:g} s strikes nobody", False)
         elif verb == "partition" and not other_side(names, self._members, str(action.options.get("kind"))):
             yield FaultFinding(f"partition at {time:g} s cuts nothing: nobody is on the other side", False)
+        elif verb == "heal" and not action.options.get("only_cut") and self._begun.isdisjoint(LINK_VERBS):
+            yield FaultFinding(f"heal at {time:g} s changes nothing: all links are clear", False)
         elif verb in ZERO_ENDS_FAULT and action.value == 0.0 and verb not in self._begun:
             yield FaultFinding(f"{verb} at {time:g} s changes nothing: value = 0 only ends an earlier one", False)
         elif verb not in LINK_VERBS and (idle := [name for name in names if self._is_idle(verb, name)]):
             yield FaultFinding(f"{verb} at {time:g} s changes nothing for {_listed(idle)}: {NO_EFFECT_ON.get(verb, 'dead')}", False)
         self._begun.add(verb)
+        if verb == "heal" and not action.options.get("only_cut"):
+            self._begun.difference_update(LINK_VERBS)
         for name in names:
             self._change(verb, name)
 

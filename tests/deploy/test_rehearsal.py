@@ -47,6 +47,12 @@ def scenario(*faults: FaultSettings, seed: int = 1, **settings: Any) -> Scenario
         ),
         ([fault(3.0, "partition", "s1,s2"), fault(3.0, "heal"), fault(3.0, "freeze", value=1.0), fault(3.0, "jump", "1", value=1.0)], []),
         ([fault(2.0, "join", options={"class": "A"}), fault(3.0, "kill", "guest0"), fault(4.0, "restart", "guest0")], []),
+        ([fault(3.0, "heal")], ["heal at 3 s changes nothing: all links are clear"]),
+        (
+            [fault(3.0, "drop", value=0.1), fault(4.0, "heal"), fault(5.0, "heal"), fault(6.0, "throttle", value=0.0)],
+            ["heal at 5 s changes nothing: all links are clear", "throttle at 6 s changes nothing: value = 0 only ends an earlier one"],
+        ),
+        ([fault(3.0, "partition", "s1", seconds=2.0), fault(4.0, "heal")], []),
         ([fault(3.0, "throttle", value=0.0)], ["throttle at 3 s changes nothing: value = 0 only ends an earlier one"]),
         ([fault(3.0, "starve", "1", value=0.5), fault(4.0, "starve", "1", value=0.0), fault(4.0, "drop", value=0.0)], []),
         ([fault(3.0, "kill", "world"), fault(4.0, "restart", "world")], []),
