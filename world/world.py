@@ -262,14 +262,16 @@ class World(Node):
         return [name for name in self.bodies.poses if name in self.scene.sensors and self._presence.live(name) is not None]
 
     def _embody_guest(self, name: str) -> None:
-        """Give a body to a live agent that is no member but has said what its sensor is."""
+        """Give a body to a live agent that is no member but has said what its sensor is: its numbers, or a class that is known here."""
         hello = self._presence.hellos.get(name)
-        if name in self.scene.sensors or hello is None or hello.sensor is None or self._presence.live(name) != hello.incarnation:
+        if name in self.scene.sensors or hello is None or self._presence.live(name) != hello.incarnation:
+            return
+        if hello.sensor is None and not hello.sensor_class:
             return
         if self._refused.get(name) == hello.incarnation or len({*self.bodies.poses, name}) > MAX_NAMES:
             return
         try:
-            self._embody(name, hello.sensor)
+            self._embody(name, hello.sensor or sensor_of(self._config, hello.sensor_class))
         except BadSetting as error:
             self._refused[name] = hello.incarnation
             log.warning("%s gets no body: %s", name, error)

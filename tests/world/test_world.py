@@ -8,7 +8,7 @@ from protocol.messages import Hello, Observation
 from protocol.node import Alive, Gone, Received, Rejected, Reopen, Started, Stop, Subscribe, Timer, received
 from protocol.observer_messages import Truth
 from protocol.sensing import SENSOR_CLASSES
-from protocol.settings import BadSetting, LimitSettings
+from protocol.settings import BadSetting, LimitSettings, SensorSettings
 from protocol.settings_digest import common_sections, shared_settings
 from tests.names import names_in
 from tests.world.stage import POSES, command, config, feed, hello, of_kind, started
@@ -187,6 +187,20 @@ def test_a_guest_without_a_sensor_gets_no_body() -> None:
     world, _ = started(config())
     feed(world, Alive("agent", "guest", 1), hello("guest"), command("s1", 0), command("s2", 0))
     assert list(world.bodies.poses) == ["s1", "s2"]
+
+
+def test_a_guest_of_a_class_that_the_scenario_names_gets_a_body_and_one_of_an_unknown_class_is_told_of_once(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    own = SensorSettings(model="covey.examples.sensors:RangeFalling", parameters={"angle": 90.0, "radius": 9.0, "scale": 6.0})
+    world, _ = started(msgspec.structs.replace(config(), sensors={"R": own}))
+    for name, kind in (("known", "R"), ("other", "Q")):
+        said = received(Hello(sender=name, incarnation=1, sensor_class=kind))
+        feed(world, Alive("agent", name, 1), said, said)
+    feed(world, command("s1", 0))
+    (truth,) = of_kind(Truth, feed(world, command("s2", 0)))
+    assert truth.bodies == ("s1", "s2", "known") and world.scene.sensors["known"].reach == 9.0
+    assert [record.message.partition(";")[0] for record in caplog.records] == ["other gets no body: sensor class 'Q' does not exist"]
 
 
 def roomless(settings: WorldConfig) -> WorldConfig:
