@@ -120,7 +120,9 @@ def status_line(status: "Status") -> str:
 
 
 def swarm_line(swarm: dict[str, Any]) -> str:
-    """Time and scores of a swarm."""
+    """Time and scores of a swarm; before its first tick what it waits for."""
+    if swarm["tick"] < 0:
+        return f"starting: {swarm['waiting']}".removesuffix(": ")
     scores = f"OSPA {swarm['ospa']:5.2f} m  GOSPA {swarm['gospa']:5.1f} m  in view {swarm['in_view']}/{swarm['targets']}"
     cells = f"hole {100.0 * swarm['hole']:.2f} %  overlap {100.0 * swarm['overlap']:.2f} %"
     return f"t {swarm['time']:7.2f} s  {scores}  {cells}  {tick_rate_words(swarm['tick_rate'])}".rstrip()

@@ -7,7 +7,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from deploy.cli.display import process_cells
+from deploy.cli.display import process_cells, swarm_line
 from deploy.recording.recorder import Recorder, RecorderNode
 from deploy.scenario import Scenario, agent_config, resolve
 from deploy.scoring.scorer import MOST_GUESTS, Scorer, hole_and_overlap
@@ -351,3 +351,14 @@ def test_of_made_up_names_a_fixed_number_is_a_row_of_the_tables(scenario: Scenar
     for event in (Alive("agent", "b", 1), estimate("a", 0, LEFT), estimate("b", 0, RIGHT)):
         scorer.handle(event, 0.0)
     assert len(scorer.scores) == 1 and scorer.scores[0].hole == 0.0
+
+
+def test_before_the_first_tick_a_swarm_says_what_it_waits_for_and_no_hole(scenario: Scenario) -> None:
+    scorer = started(scenario)
+    status = scorer.status(0.0)
+    assert swarm_line(msgspec.to_builtins(status)) == "starting"
+    assert swarm_line({**msgspec.to_builtins(status), "waiting": "there are 1 of 2 agents"}) == "starting: there are 1 of 2 agents"
+    scorer.handle(truth(0), 0.0)
+    for name, cell in (("a", LEFT), ("b", RIGHT)):
+        scorer.handle(estimate(name, 0, cell), 0.0)
+    assert swarm_line(msgspec.to_builtins(scorer.status(0.0))).startswith("t    0.00 s  OSPA")
