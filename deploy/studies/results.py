@@ -22,6 +22,7 @@ from deploy.storage.whole_file import whole_file
 from deploy.studies.trials import Row
 from protocol.settings import BadOption, BadSetting
 
+ROBUSTNESS = "robustness.csv"  # in the folder of a study of robustness, which has no rows of methods
 NUMBERS = ("seed", "start_targets", "agents", "steady_ospa", "steady_gospa", "end_in_view")  # columns that figures are drawn from
 
 
@@ -113,6 +114,8 @@ def read_results(path: Path) -> list[Row]:
     if path.is_dir():
         folder = StudyFolder(path)
         path = folder.csv if folder.csv.exists() and not folder.parquet.exists() else folder.parquet
+        if (folder.path / ROBUSTNESS).exists():
+            raise BadSetting(f"{folder.path}: a study of robustness has drawn its own figure, robustness.pdf; {ROBUSTNESS} is its table")
         if folder.trials.exists() and not path.exists():
             raise BadSetting(f"{folder.path}: the study has not finished; the command that began it goes on")
         if not path.exists():
@@ -125,9 +128,9 @@ def read_results(path: Path) -> list[Row]:
         raise BadSetting(f"{path}: no results of a study: {error}") from None
     if not rows:
         raise BadSetting(f"{path}: no results of a study: it holds no row")
-    missing = [name for name in ("method", "team", "seed", "start_targets", "steady_ospa") if name not in rows[0]]
-    if missing:
-        raise BadSetting(f"{path}: no results of a study: the column {missing[0]} is missing")
+    missing = [name for name in ("method", "scenario", "team", "seed", "start_targets", "steady_ospa") if name not in rows[0]]
+    if missing:  # as in a study of bodies, which is a table alone
+        raise BadSetting(f"{path}: no results of a study of the paper or of the ablation: the column {missing[0]} is missing")
     return rows
 
 

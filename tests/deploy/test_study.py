@@ -123,6 +123,18 @@ def test_files_that_are_no_results_are_refused_by_name(tmp_path: Path) -> None:
     other.write_text("a,b\n1,2\n")
     with pytest.raises(BadSetting, match="the column method is missing"):
         read_results(other)
+    bodies = StudyFolder(tmp_path / "bodies")
+    bodies.path.mkdir()
+    bodies.publish([{name: value for name, value in row(1, "points").items() if name != "scenario"}])
+    for path in (bodies.path, bodies.csv, bodies.parquet):
+        with pytest.raises(BadSetting, match="no results of a study of the paper or of the ablation: the column scenario is missing"):
+            read_results(path)
+    robustness = StudyFolder(tmp_path / "robustness")
+    robustness.path.mkdir()
+    robustness.add(row(1))
+    (robustness.path / "robustness.csv").write_text("kind,level\n")
+    with pytest.raises(BadSetting, match=r"a study of robustness has drawn its own figure, robustness\.pdf"):
+        read_results(robustness.path)
     broken = tmp_path / "broken.parquet"
     broken.write_text(json.dumps({}))
     with pytest.raises(BadSetting, match=r"broken\.parquet: no results of a study"):
