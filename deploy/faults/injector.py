@@ -58,7 +58,7 @@ class Injector:
             self._bus.link = self._bus.link or self._links  # from the first link fault on: to ask for every message takes time
             if self._bus.link is not self._links:
                 raise BadSetting(f"{action.verb}: a simulation with a link of its own has no other faults of links")
-            self._links.act(action)
+            self._links.act(action, self.alive())
             self._look_at_sessions()
             return
         if action.verb == "freeze":

@@ -4,7 +4,7 @@ In a simulation `Links` lies between the nodes of the virtual bus; live, the sup
 without names in them touch the links between agents only: the world and the monitor are reached through them by name.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 
 import msgspec
 
@@ -34,15 +34,15 @@ class Links:
         if name not in self._names:
             self._names.append(name)
 
-    def act(self, action: Action) -> None:
-        """Carry out a link verb."""
+    def act(self, action: Action, living: Collection[str] | None = None) -> None:
+        """Carry out a link verb. `living`: the agents of which one can be a bridge; None: all."""
         if action.verb == "heal" and action.options.get("only_cut"):
             ended = set(self._around(action.names))
             self._cut, self._torn = self._cut - ended, self._torn - ended
         elif action.verb == "heal":
             self._cut, self._torn, self._conditions = set(), set(), {}
         elif action.verb == "partition":
-            cut = self._partition(action.names, str(action.options.get("kind", "both")))
+            cut = self._partition(action.names, str(action.options.get("kind", "both")), living)
             self._cut |= cut
             self._torn |= cut if action.options.get("tokens", True) else set()
         else:
@@ -77,9 +77,9 @@ class Links:
         ears = self._ears.get(receiver)
         return ears.hear(sender, payload, now) if ears else [(0.0, payload)]
 
-    def _partition(self, names: Sequence[str], kind: str) -> set[Direction]:
+    def _partition(self, names: Sequence[str], kind: str, living: Collection[str] | None) -> set[Direction]:
         """The directions that are cut between those meant and the rest."""
-        cut = {(sender, receiver) for sender in names for receiver in other_side(names, self._names, kind)}
+        cut = {(sender, receiver) for sender in names for receiver in other_side(names, self._names, kind, living)}
         return cut if kind == "one-way" else cut | {(receiver, sender) for sender, receiver in cut}
 
     def describe(self, action: Action) -> str:
@@ -120,7 +120,10 @@ class Links:
         return {receiver for _, receiver in {*self._cut, *self._conditions}}
 
 
-def other_side(names: Sequence[str], team: Sequence[str], kind: str) -> list[str]:
-    """The agents of a team from whom a cut divides `names`; of a bridge one of the rest hears both sides."""
+def other_side(names: Sequence[str], team: Sequence[str], kind: str, living: Collection[str] | None = None) -> list[str]:
+    """The agents of a team from whom a cut divides `names`; of a bridge the first of the rest that lives hears both sides."""
     rest = [name for name in team if name not in names]
-    return rest[1:] if kind == "bridge" else rest
+    if kind != "bridge":
+        return rest
+    alive = [name for name in rest if living is None or name in living]
+    return [name for name in rest if name != (alive or rest)[0]]

@@ -1,7 +1,7 @@
 """The links of a swarm: who hears whom after each verb."""
 
 from deploy.faults.faults import Action, Schedule
-from deploy.faults.links import Links
+from deploy.faults.links import Links, other_side
 from deploy.scenario import FaultSettings
 from protocol.link_faults import LinkCondition
 
@@ -36,6 +36,10 @@ def test_one_way_the_rest_hear_nothing_and_a_bridge_hears_both_sides() -> None:
     links.act(Action("heal", []))
     links.act(Action("partition", ["s1"], None, {"kind": "bridge"}))
     assert ALL - hears(links) == {("s1", "s3"), ("s1", "s4"), ("s3", "s1"), ("s4", "s1")}
+    links.act(Action("heal", []))
+    links.act(Action("partition", ["s1"], None, {"kind": "bridge"}), ["s1", "s3", "s4"])
+    assert ALL - hears(links) == {("s1", "s2"), ("s1", "s4"), ("s2", "s1"), ("s4", "s1")}, "the dead are no bridge"
+    assert other_side(["s1"], TEAM, "bridge", ["s1"]) == ["s3", "s4"] and other_side(TEAM, TEAM, "bridge", []) == []
 
 
 def test_sides_are_groups_that_hear_nothing_of_each_other_among_those_asked_about() -> None:
