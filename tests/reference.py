@@ -26,6 +26,10 @@ COUNTERS = {  # of agents: families appear when they first count
     "missing": "gossips that a round waited for in vain",
     "late": "rounds closed at their deadline",
     "skipped": "ticks of which no round was played, because the agent was still busy",
+    "spared": "ticks in which no gossip was sent, to keep a slower pace",
+    "given_up": "silent peers that stopped to be generators",
+    "looked_ahead": "rounds of an earlier tick that were moved on to now (`timing.look_ahead`)",
+    "stalled_ms": "ms for which the machine did not serve it in time",
     "reopened": "sessions opened anew, because others were heard no more",
     "rejected": "messages refused, with the label `reason` (see [the protocol](protocol.md#decode-limits))",
 }

@@ -4,11 +4,14 @@ import json
 import re
 from pathlib import Path
 
+import msgspec
+
 from deploy.page.metrics import PageFigures, metrics_page
 from deploy.page.picture import Picture
-from deploy.scenario import resolve
+from deploy.scenario import FaultSettings, resolve
 from deploy.simulation import Simulation
 from protocol.node import Rejected
+from tests.reference import COUNTERS
 
 ROOT = Path(__file__).resolve().parents[2]
 SAMPLE = re.compile(r'^([a-z_:][a-z0-9_:]*)\{((?:[a-z_]+="(?:[^"\\\n]|\\.)*",?)*)\} (-?[0-9.e+-]+|NaN|[+-]Inf)$')
@@ -62,6 +65,23 @@ def test_numbers_are_those_of_score_and_picture() -> None:
     estimate = picture.agents["s3"].estimate
     assert estimate is not None
     assert found["covey_agent_rounds_total", 'agent="s3",' + run] == estimate.counters["rounds"]
+
+
+def test_the_page_names_every_counter_that_agents_in_trouble_report() -> None:
+    faults = (
+        FaultSettings(at=2.0, verb="starve", who="s1", value=0.15),
+        FaultSettings(at=9.0, verb="kill", who="s2", options={"silent": True}),
+    )
+    for ahead in (0.0, 0.5):
+        scenario = resolve("quick", {"run.seconds": 14.0, "timing.look_ahead": ahead})
+        simulation = Simulation(msgspec.structs.replace(scenario, faults=faults), clock="realtime", scores=False)
+        picture = Picture(simulation.scenario)
+        simulation.scorer.on_event = picture.see
+        simulation.run()
+        said = {name.partition(".")[0] for known in picture.agents.values() if known.estimate for name in known.estimate.counters}
+        assert said >= {"rounds", "heard", "skipped", "spared", "stalled_ms"} and said <= set(COUNTERS), ahead
+    page = (ROOT / "docs" / "reference" / "metrics.md").read_text(encoding="utf-8")
+    assert all(f"`covey_agent_{name}_total`" in page for name in COUNTERS)
 
 
 def test_names_from_outside_cannot_break_a_line() -> None:
