@@ -12,6 +12,7 @@ from agents.coverage.control import ControlLaw, Situation
 from agents.coverage.laws import CheckedLaw, control_law
 from agents.tracking.births import prior_size
 from agents.tracking.particles import unlabelled
+from agents.tracking.phd import BINS_IN_VICINITY
 from deploy.cli.sensor_checks import check_sensor
 from deploy.faults.faults import LINK_VERBS, check_listed_fault, plain_verb
 from deploy.faults.rehearsal import rehearse
@@ -41,7 +42,7 @@ from world.targets import Motion, build_motion
 
 MOST_PRIOR = 1_000_000  # particles that an agent starts with
 MOST_EXPECTED = 0.15 * MOST_MASS  # targets for each agent in the mean; of unequal cells the largest holds up to five times as many
-MOST_BINS = 20_000_000  # of the grid on which an agent looks for targets
+MOST_BINS = 20_000_000  # of the grid on which an agent looks for targets, and of that on which it weighs a miss
 T = TypeVar("T")
 TICKS_TRIED = 2  # of which a law and a motion of the user's own are asked, each by two objects
 WAITED_FOR = {"delay", "slow"}  # faults whose effect is lateness
@@ -138,6 +139,9 @@ def check_costs(scenario: Scenario) -> None:
     if scenario.extraction.bin < least:
         line = f"extraction.bin = {scenario.extraction.bin!r}: too fine for {area:.3g} m^2"
         raise BadSetting(f"{line}; should be at least {1.05 * least:.2g} m")
+    if filters.kind == "particles" and filters.vicinity < BINS_IN_VICINITY * least:
+        line = f"filter.vicinity = {filters.vicinity!r}: too fine for {area:.3g} m^2"
+        raise BadSetting(f"{line}; should be at least {1.05 * BINS_IN_VICINITY * least:.2g} m")
 
 
 def check_platform_class(scenario: Scenario) -> str:

@@ -69,6 +69,12 @@ TYPED = [
         2,
         "targets.count = 3000: 1500 for each of 2 agents; should be at most 300",
     ),
+    (
+        "check quick --set arena.width=2e4 --set arena.height=2e4 --set filter.prior_particles=1e-5 --set filter.prior_density=1e-8 "
+        "--set extraction.bin=30",
+        2,
+        "filter.vicinity = 3.0: too fine for 4e+08 m^2; should be at least 5.8 m",
+    ),
     ("simulate quick --set arena.width=5e5", 2, "arena.width = 500000.0, arena.height = 25.0: a prior of"),
     ("simulate quick --set arena.width=1e4 --set arena.height=1e4", 2, "should be at most 3.3e+06 m^2"),
     ("simulate quick --loss nan", 2, "--loss nan: should be a share"),
