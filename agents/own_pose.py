@@ -18,7 +18,7 @@ from protocol.fields import pack
 from protocol.geometry import wrap_angle
 from protocol.message import Vector
 from protocol.messages import Observation
-from protocol.pose import clip_velocity, from_other_frame, integrate
+from protocol.pose import clip_motion, from_other_frame, integrate
 from protocol.sensing import SensorModel, measurement_of
 
 SURPRISE = 4.0  # standard deviations between a report and the mean
@@ -80,9 +80,8 @@ class OwnPose:
 
         A body that moves at v m/s errs by v times `time_noise` along its way, which is half of that variance on each axis.
         """
-        settings, limits, (velocity, turn_rate) = self._config.pose, self._config.limits, self.command
-        x, y = clip_velocity(velocity, limits.speed)
-        turn = min(abs(turn_rate), limits.turn_rate) * settings.time_noise
+        settings, ((x, y), turn_rate) = self._config.pose, clip_motion(*self.command, self._config.limits)
+        turn = turn_rate * settings.time_noise
         place = settings.position_noise * settings.position_noise + 0.5 * settings.time_noise * settings.time_noise * (x * x + y * y)
         return place, settings.heading_noise * settings.heading_noise + turn * turn
 

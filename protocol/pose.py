@@ -19,19 +19,24 @@ def clip_velocity(velocity: Vector, speed: float) -> Vector:
     """The velocity in m/s, shortened to `speed` m/s where it is faster; the direction stays."""
     x, y = velocity
     fast = math.sqrt(x * x + y * y)
-    return (x * (speed / fast), y * (speed / fast)) if fast > speed else (x, y)
+    return (x * speed / fast, y * speed / fast) if fast > speed else (x, y)
+
+
+def clip(number: float, most: float) -> float:
+    """The number, or the nearest one from -`most` to `most`."""
+    return max(-most, min(most, number))
+
+
+def clip_motion(velocity: Vector, turn_rate: float, limits: LimitSettings) -> tuple[Vector, float]:
+    """Velocity in m/s and turn rate in rad/s within the limits; the direction of the velocity stays."""
+    return clip_velocity(velocity, limits.speed), clip(turn_rate, limits.turn_rate)
 
 
 def integrate(pose: Pose, velocity: Vector, turn_rate: float, dt: float, limits: LimitSettings) -> Pose:
     """The pose after dt s at a constant velocity m/s in the world frame and turn rate rad/s, both clipped to the limits (1)."""
-    x, y = clip_velocity(velocity, limits.speed)
-    turn = max(-limits.turn_rate, min(limits.turn_rate, turn_rate))
+    (x, y), turn = clip_motion(velocity, turn_rate, limits)
     east, north = pose[0] + x * dt, pose[1] + y * dt  # no farther than a coordinate may be on the wire
-    return (
-        max(-LARGEST_NUMBER, min(LARGEST_NUMBER, east)),
-        max(-LARGEST_NUMBER, min(LARGEST_NUMBER, north)),
-        wrap_angle(pose[2] + turn * dt),
-    )
+    return clip(east, LARGEST_NUMBER), clip(north, LARGEST_NUMBER), wrap_angle(pose[2] + turn * dt)
 
 
 def from_other_frame(points: np.ndarray, true: Pose, reported: Pose) -> np.ndarray:

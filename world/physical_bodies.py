@@ -15,7 +15,7 @@ import numpy as np
 from protocol.arithmetic import elementwise
 from protocol.geometry import wrap_angle
 from protocol.messages import Command
-from protocol.pose import clip_velocity
+from protocol.pose import clip_motion
 from protocol.sensing import Pose
 from protocol.settings import BadSetting, LimitSettings
 from world.unicycle import twist
@@ -120,9 +120,8 @@ class PhysicalBodies:
             forward = turn = pan = 0.0
             command = commands.get(name)
             if command is not None:
-                velocity = clip_velocity(command.velocity, limits.speed)
+                velocity, pan = clip_motion(command.velocity, command.turn_rate, limits)
                 forward, turn = twist(float(yaws[row]), velocity, AXLE * radius, limits)
-                pan = max(-limits.turn_rate, min(limits.turn_rate, command.turn_rate))
             left, right = forward - turn * TRACK * radius, forward + turn * TRACK * radius
             speeds[row] = left / (WHEEL * radius), right / (WHEEL * radius), pan - turns[row]
 

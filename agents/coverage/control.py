@@ -14,6 +14,7 @@ import numpy as np
 from agents.gossip.table import GossipTable
 from agents.tracking.particles import Particles
 from protocol.geometry import EMPTY, polygon_centroid, wrap_angle
+from protocol.pose import clip_motion
 from protocol.random_streams import random_key
 from protocol.sensing import Pose, SensorModel
 from protocol.settings import LimitSettings
@@ -106,12 +107,9 @@ class RandomWalk:
 
 def approach(situation: Situation, goal: tuple[float, float]) -> ControlInput:
     """The command towards a goal, m: the control point reaches it by the next command and the body faces it, within the limits (18)."""
-    limits, dt = situation.limits, situation.dt * situation.ticks
+    dt = situation.dt * situation.ticks
     vx, vy = (goal[0] - situation.control_point[0]) / dt, (goal[1] - situation.control_point[1]) / dt
-    speed = math.sqrt(vx * vx + vy * vy)
-    if speed > limits.speed:
-        vx, vy = vx * limits.speed / speed, vy * limits.speed / speed
     seen_from = situation.control_point if situation.heading == "literal" else situation.pose
     dx, dy = goal[0] - seen_from[0], goal[1] - seen_from[1]
     turn = wrap_angle(math.atan2(dy, dx) - situation.pose[2]) / dt if dx or dy else 0.0
-    return (vx, vy), max(-limits.turn_rate, min(limits.turn_rate, turn))
+    return clip_motion((vx, vy), turn, situation.limits)

@@ -10,7 +10,7 @@ from agents.config import AgentConfig
 from agents.coverage.control import ControlInput, ControlLaw, Lloyd, RandomWalk, Situation, Static, UniformDensity
 from agents.coverage.pursuit import Pursuit
 from agents.coverage.search_and_track import SearchAndTrack
-from protocol.pose import clip_velocity
+from protocol.pose import clip_motion
 from protocol.settings import BadSetting
 from protocol.user_classes import as_bad_setting, build, is_number, shown
 
@@ -58,5 +58,4 @@ class CheckedLaw:
             raise BadSetting(
                 f"{self._name}.command returned {shown(answer)}: should be ((vx, vy), turn_rate), finite numbers in m/s and rad/s"
             )
-        most = situation.limits.turn_rate
-        return clip_velocity((numbers[0], numbers[1]), situation.limits.speed), max(-most, min(most, numbers[2]))
+        return clip_motion((numbers[0], numbers[1]), numbers[2], situation.limits)

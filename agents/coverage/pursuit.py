@@ -17,6 +17,7 @@ from agents.coverage.control import STAND, ControlInput, Situation
 from agents.tracking.particles import total
 from protocol.arithmetic import elementwise
 from protocol.geometry import polygon_centroid, rectangle, wrap_angle
+from protocol.pose import clip
 
 HEADING_COUNT = 37  # compared headings, between the reachable extremes
 VALUE_IN_VIEW = 0.1  # weight of mass in view in this tick
@@ -48,8 +49,7 @@ class Pursuit:
         turn = _best_turn(situation, ages, place)
         if turn is None:
             turn = wrap_angle(math.atan2(goal[1] - place[1], goal[0] - place[0]) - heading)
-        most = situation.limits.turn_rate
-        return (vx, vy), max(-most, min(most, turn / seconds))
+        return (vx, vy), clip(turn / seconds, situation.limits.turn_rate)
 
     def _ages(self, situation: Situation) -> np.ndarray:
         """Times since each particle was last in sight, s: (N,)."""
@@ -92,7 +92,7 @@ def _lead(place: tuple[float, float], goal: tuple[float, float], offset: float, 
     apart = math.hypot(dx, dy)
     if apart == 0.0:
         return 0.0, 0.0
-    speed = max(-situation.limits.speed, min(situation.limits.speed, (apart - offset) / (situation.dt * situation.ticks)))
+    speed = clip((apart - offset) / (situation.dt * situation.ticks), situation.limits.speed)
     return speed * dx / apart, speed * dy / apart
 
 
