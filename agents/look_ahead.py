@@ -12,7 +12,6 @@ Estimates and commands are those of now. A copy of the belief is moved on to the
 early. It is thrown away: the next round begins with what gossips state.
 """
 
-from bisect import bisect_left
 from collections import deque
 from typing import Any, NamedTuple
 
@@ -89,20 +88,14 @@ class GossipHistory:
 
     def table(self, own: Gossip) -> GossipTable:
         """The gossips of a tick that have come so far, the own one included."""
-        heard = self._said.get(own.tick, {})
-        said = [heard[name] for name in sorted(heard.keys() - {own.sender}, key=order)]
-        place = bisect_left([gossip.sender for gossip, _ in said], order(own.sender), key=order)
-        said.insert(place, (own, self._context.announced))
+        heard = {**self._said.get(own.tick, {}), own.sender: (own, self._context.announced)}
+        said = [heard[name] for name in sorted(heard, key=order)]
         return gossip_table([gossip for gossip, _ in said], [sensor for _, sensor in said], self._context.config)
 
     def own_gossip(self, tick: int, nearest: Gossip) -> Gossip:
         """The own gossip of a tick; without one the `nearest` without its scan, for the agent was skipped by that tick."""
         found = self._said.get(tick, {}).get(self._context.name)
         return found[0] if found else without_scan(nearest, tick)
-
-    def put_own(self, gossip: Gossip) -> None:
-        """Keep an own gossip."""
-        self._said.setdefault(gossip.tick, {})[gossip.sender] = gossip, self._context.announced
 
     def at_or_before(self, stamp: int, newest: Belief) -> Belief:
         """The newest belief that is not later than the tick `stamp`, `newest` included; the oldest that is kept if all are later."""

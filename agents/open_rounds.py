@@ -44,7 +44,7 @@ class OpenRounds:
         self._rounds.append(OpenRound(gossip, belief))
         if self.lag.most:
             self.lag.observe(gossip.tick, now)
-            self.recent.put_own(gossip)
+            self.recent.put(gossip, self._context.announced)
 
     def find_due(self, tick: int) -> int | None:
         """The oldest round, if it is due in the newest `tick`; else None."""

@@ -172,15 +172,14 @@ def _surroundings(
     generator_table: GossipTable,
 ) -> Surroundings:
     """What a law that announces goals reads besides the situation."""
-    row = bisect_left(generator_table.names, order(own.sender), key=order)
-    others = [other for other in range(len(generator_table.names)) if generator_table.names[other] != own.sender]
-    partners = np.empty((len(generator_table.names), 5))
-    partners[:, :3], partners[:, 3], partners[:row, 4], partners[row:, 4] = generator_table.plans, generator_table.table[:, REACH], 1.0, 0.0
+    names = generator_table.names
+    comes_first = np.arange(len(names)) < bisect_left(names, order(own.sender), key=order)
+    partners = np.column_stack([generator_table.plans, generator_table.table[:, REACH], comes_first])
     return Surroundings(
         density=context.tracker.weighted_points(density),
         around=context.tracker.weighted_points(update.updated),
         table=table,
-        partners=partners[others],
+        partners=partners[[name != own.sender for name in names]],
         goal=own.goal if own.goal is not None else own.pose[:2],
         is_open=context.config.filter.border == "cross",
     )

@@ -148,7 +148,7 @@ def test_made_up_ticks_of_one_peer_push_out_no_gossip_of_the_own_agent_or_of_sev
     def said(name: str, tick: int) -> Gossip:
         return Gossip(sender=name, incarnation=1, tick=tick, pose=(1.0, 1.0, 0.0), cod=(1.0, 1.0), power_radius=0.0, unused=0.0)
 
-    history.put_own(said("s1", 7))
+    history.put(said("s1", 7), sensor)
     for name in ("s2", "s3"):
         history.put(said(name, 8), sensor)
     for tick in range(1000, 1200):
