@@ -13,7 +13,6 @@ from agents.coverage.cells import Cell
 from agents.interest.selection import Choice, select_peers
 from agents.tracking import claims, regions
 from agents.tracking.births import background_births
-from agents.tracking.merge import remote_copies
 from agents.tracking.particles import Particles
 from agents.tracking.step import Step
 from agents.tracking.tracker import RegionUpdate
@@ -38,7 +37,7 @@ PLAIN = Backend(
     update_regions=regions.update_regions,
     resolve_conflicts=claims.resolve_conflicts,
     orphaned=claims.orphaned,
-    remote_copies=remote_copies,
+    remote_copies=regions.remote_copies,
     select_peers=select_peers,
     decide=search_plan.decide,
 )

@@ -79,7 +79,7 @@ def background_births(step: Step) -> Particles:
 
 
 def remote_copies(near: Particles, density: Particles, polygon: np.ndarray, claim: Claim, horizon: float, step: Step) -> Particles:
-    """See `merge.remote_copies`."""
+    """See `regions.remote_copies`."""
     cell, run = polygon if len(polygon) else _NO_CORNERS, (*prepared(step.config), step.tick)
     return Particles(*copy_kernels.remote_copies(tuple(near), tuple(density), cell, claim.generators, claim.wins_ties, horizon, *run))
 

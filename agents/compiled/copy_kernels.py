@@ -1,4 +1,4 @@
-"""Compiled copies of a round; the twin of `remote_copies` of agents/tracking/merge.py.
+"""Compiled copies of a round; the twin of `remote_copies` of agents/tracking/regions.py.
 
 Rules as in agents/compiled/particle_kernels.py.
 """
@@ -46,7 +46,7 @@ def remote_copies(
     keys: np.ndarray,
     tick: int,
 ) -> _Particles:
-    """Twin of `merge.remote_copies`: states, weights, ids and labels of the copies."""
+    """Twin of `regions.remote_copies`: states, weights, ids and labels of the copies."""
     near_states, near_weights, near_ids, near_labels = near
     states, weights, ids, labels = density
     motion, survival = motion_at(settings, keys, np.uint64(tick)), settings[run_columns.SURVIVAL]

@@ -10,7 +10,7 @@ exactly one cell, and the particles of a dead agent live on in the copies (docs/
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import lru_cache, reduce
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -19,7 +19,7 @@ from agents.backend import Backend
 from agents.config import FilterSettings
 from agents.gossip.table import GossipTable, as_particles
 from agents.tracking.births import prior, prior_around, prior_size
-from agents.tracking.claims import NO_CLAIM, Claim, make_claim
+from agents.tracking.claims import Claim, make_claim
 from agents.tracking.merge import merge
 from agents.tracking.particles import NO_PARTICLES, WIRE_TYPE, Particles, canonical, join, select
 from agents.tracking.phd import predict
@@ -30,9 +30,9 @@ from agents.tracking.tracker import (
     OwnedState,
     RegionInput,
     RegionUpdate,
+    belief_without_claim,
     claims_tile_arena,
-    stated_claims,
-    ticks_to_replay,
+    missed_steps,
     unknown_senders,
 )
 from protocol.compact_particles import packed, quantised
@@ -79,9 +79,7 @@ class Copies:
             step, backend, density, polygon, claim, horizon = self.inputs
             copies = backend.remote_copies(self.near, as_particles(density), polygon, claim, horizon, step)
             self.near, self.inputs = worth_keeping(copies, step.config.filter.particles_per_target), None
-        for step in self.skipped_steps:
-            self.near = predict(self.near, step)
-        self.skipped_steps = ()
+        self.near, self.skipped_steps = reduce(predict, self.skipped_steps, self.near), ()
         return self.near
 
 
@@ -98,15 +96,10 @@ def worth_keeping(copies: Particles, per_target: int) -> Particles:
     return select(copies, np.sort(heaviest))
 
 
-def start(prior: Particles, name: str) -> Belief:
-    """The belief before the first round: copies of the prior, and no owned particle."""
-    return Belief(stamp=-1, mine=OwnedState(name, NO_CLAIM, NO_PARTICLES, 0), copies=Copies(prior))
-
-
 def _without_claim(belief: Belief) -> Belief:
     """The belief without a claim: all particles are copies."""
     particles = canonical(join([belief.mine.targets, belief.copies.compute()]))
-    return Belief(belief.stamp, OwnedState(belief.mine.owner, NO_CLAIM, NO_PARTICLES, 0), Copies(particles))
+    return belief_without_claim(belief.mine.owner, belief.stamp, NO_PARTICLES, Copies(particles))
 
 
 def as_stated(particles: Particles, owner: str, step: Step) -> Particles:
@@ -126,7 +119,7 @@ class ParticlePhd(NamedTuple):
         """See `Tracker.start`."""
         filters, arena = step.config.filter, step.config.arena
         everywhere = prior(filters.seed, prior_size(filters, arena), filters, arena)
-        return start(everywhere if box is None else prior_around(everywhere, box), name)
+        return belief_without_claim(name, -1, NO_PARTICLES, Copies(everywhere if box is None else prior_around(everywhere, box)))
 
     def gossip_fields(self, mine: OwnedState, settings: FilterSettings) -> dict[str, Any]:
         """See `Tracker.gossip_fields`."""
@@ -152,23 +145,19 @@ class ParticlePhd(NamedTuple):
         if belief.stamp >= step.tick - 1:
             return belief
         released = _without_claim(belief)
-        particles = released.copies.near
-        for missed in ticks_to_replay(belief, step):
-            particles = predict(particles, step._replace(tick=missed))
-        return replace(released, stamp=step.tick - 1, copies=Copies(particles))
+        moved = reduce(predict, missed_steps(belief, step), released.copies.near)
+        return replace(released, stamp=step.tick - 1, copies=Copies(moved))
 
     def keep_claim(self, belief: Belief, step: Step, alone: RegionUpdate | None = None) -> Belief:
         """See `Tracker.keep_claim`: all particles move by the keyed noise of the missed ticks; the owned ones are rounded as on the wire.
 
         Particles may leave the cell meanwhile, so a kept claim counts only where all state claims of one diagram (`merge`).
         """
-        missed = tuple([step._replace(tick=tick) for tick in range(belief.stamp + 1, step.tick)])
+        missed = missed_steps(belief, step)
         if alone is not None:
             particles = alone.resampled
         else:
-            particles = belief.mine.targets
-            for each in missed:
-                particles = predict(particles, each)
+            particles = reduce(predict, missed, belief.mine.targets)
             particles = select(particles, particles.weights > 0.0)
             particles = particles._replace(states=particles.states.astype(WIRE_TYPE).astype(float))
         mine = belief.mine._replace(targets=as_stated(particles, belief.mine.owner, step._replace(tick=step.tick - 1)))
@@ -176,24 +165,13 @@ class ParticlePhd(NamedTuple):
         return Belief(step.tick - 1, mine, copies, belief.generator_names, belief.known_names, kept_since=belief.claim_tick)
 
     def merge(self, belief: Belief, table: GossipTable, step: Step) -> GossipTable | Particles:
-        """The particles that count at `belief.stamp`, or the table itself when only its particles count; there an id may occur twice.
-
-        `table` holds all gossips of the tick, the own one included. Copies count outside all fresh claims. Two claims overlap when
-        their diagrams differ: within `timing.overlap` m of the border the particles of both count, and deeper inside the smaller power
-        distance wins. Agents with the same diagram have claims that tile the arena. An unknown agent has cut another diagram, even
-        if it states the same hash.
-        """
+        """See `Tracker.merge`; in a table an id may occur twice."""
         if claims_tile_arena(belief, table):
             return table
-        last, unknown = step.tick - 1, unknown_senders(belief, table)
-        if belief.claim_tick < last:
+        unknown = unknown_senders(belief, table)
+        if belief.claim_tick < step.tick - 1:
             belief = _without_claim(belief)
-        owned, claims, hashes = stated_claims(belief.mine, unknown, table, last, owned_by_sender)
-        received, sizes = join([each.targets for each in owned]), [len(each.targets.ids) for each in owned]
-        kept = self.backend.resolve_conflicts(received.states, sizes, claims, hashes, step.config.timing.overlap)
-        copies = belief.copies.compute()
-        free = self.backend.orphaned(copies.states, claims, step.config.arena)
-        return merge(received, kept, copies, free)
+        return merge(belief.mine, belief.copies.compute(), table, unknown, step, self.backend, owned_by_sender)
 
     def update(
         self, density: GossipTable | Particles, table: GossipTable, regions: Sequence[RegionInput], step: Step

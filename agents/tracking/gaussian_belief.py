@@ -8,13 +8,14 @@ there are few, and so agents that hear everybody compute the same bits.
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import reduce
 from typing import Any, NamedTuple
 
 from agents.backend import Backend
 from agents.config import FilterSettings
 from agents.gossip.table import GossipTable
 from agents.tracking import claims, gaussian_phd
-from agents.tracking.claims import NO_CLAIM, Claim, make_claim
+from agents.tracking.claims import Claim, make_claim
 from agents.tracking.extraction import TargetEstimates
 from agents.tracking.gaussian_reduction import estimate_and_label, limited, merged
 from agents.tracking.gaussians import (
@@ -36,9 +37,9 @@ from agents.tracking.tracker import (
     OwnedState,
     RegionInput,
     RegionUpdate,
+    belief_without_claim,
     claims_tile_arena,
-    stated_claims,
-    ticks_to_replay,
+    missed_steps,
     unknown_senders,
 )
 from protocol import geometry
@@ -87,8 +88,7 @@ def _tidied(mixture: Mixture, step: Step) -> Mixture:
 
 def _without_claim(belief: Belief) -> Belief:
     """The belief without a claim: all components are copies."""
-    everything = canonical(join([belief.mine.targets, belief.copies]))
-    return Belief(belief.stamp, OwnedState(belief.mine.owner, NO_CLAIM, EMPTY, 0), everything)
+    return belief_without_claim(belief.mine.owner, belief.stamp, EMPTY, canonical(join([belief.mine.targets, belief.copies])))
 
 
 class MixturePhd(NamedTuple):
@@ -102,7 +102,7 @@ class MixturePhd(NamedTuple):
         if box is not None:
             x, y = known.means[:, 0], known.means[:, 1]
             known = select(known, (x >= box[0]) & (y >= box[1]) & (x <= box[2]) & (y <= box[3]))
-        return Belief(-1, OwnedState(name, NO_CLAIM, EMPTY, 0), known)
+        return belief_without_claim(name, -1, EMPTY, known)
 
     def gossip_fields(self, mine: OwnedState, settings: FilterSettings) -> dict[str, Any]:
         """See `Tracker.gossip_fields`."""
@@ -117,32 +117,23 @@ class MixturePhd(NamedTuple):
         if belief.stamp >= step.tick - 1:
             return belief
         released = _without_claim(belief)
-        copies = released.copies
-        for missed in ticks_to_replay(belief, step):
-            copies = _moved(copies, step._replace(tick=missed))
-        return replace(released, stamp=step.tick - 1, copies=copies)
+        return replace(released, stamp=step.tick - 1, copies=reduce(_moved, missed_steps(belief, step), released.copies))
 
     def keep_claim(self, belief: Belief, step: Step, alone: RegionUpdate | None = None) -> Belief:
         """See `Tracker.keep_claim`: all components move by the missed ticks, and those in the kept claim are owned."""
-        moved = _without_claim(belief).copies
-        for tick in range(belief.stamp + 1, step.tick):
-            moved = _moved(moved, step._replace(tick=tick))
+        moved = reduce(_moved, missed_steps(belief, step), _without_claim(belief).copies)
         mine = belief.mine._replace(targets=take(moved, belief.mine.claim, step) if alone is None else alone.resampled)
         copies = select(moved, ~claims.owned(moved.means, belief.mine.claim, step.config.arena))
         return Belief(step.tick - 1, mine, copies, belief.generator_names, belief.known_names, kept_since=belief.claim_tick)
 
     def merge(self, belief: Belief, table: GossipTable, step: Step) -> GossipTable | Mixture:
-        """The components that count at `belief.stamp`; the rules are those of `ParticlePhd.merge`."""
+        """See `Tracker.merge`."""
         if claims_tile_arena(belief, table):
             return table
-        last, unknown = step.tick - 1, unknown_senders(belief, table)
-        if belief.claim_tick < last:
+        unknown = unknown_senders(belief, table)
+        if belief.claim_tick < step.tick - 1:
             belief = _without_claim(belief)
-        owned, stated, hashes = stated_claims(belief.mine, unknown, table, last, owned_by_sender)
-        received, sizes = join([each.targets for each in owned]), [len(each.targets.ids) for each in owned]
-        kept = self.backend.resolve_conflicts(received.means, sizes, stated, hashes, step.config.timing.overlap)
-        free = self.backend.orphaned(belief.copies.means, stated, step.config.arena)
-        return merge(received, kept, belief.copies, free)
+        return merge(belief.mine, belief.copies, table, unknown, step, self.backend, owned_by_sender)
 
     def update(self, density: GossipTable | Mixture, table: GossipTable, regions: Sequence[RegionInput], step: Step) -> list[RegionUpdate]:
         """See `Tracker.update`."""

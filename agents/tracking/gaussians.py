@@ -34,6 +34,11 @@ class Mixture(NamedTuple):
     ids: np.ndarray
     labels: np.ndarray  # 0: none (agents/tracking/labels.py)
 
+    @property
+    def states(self) -> np.ndarray:
+        """The means: the place of a component is that of its mean, as the place of a particle is in its state."""
+        return self.means
+
 
 EMPTY = Mixture(np.empty(0), np.empty((0, 4)), np.empty((0, 4, 4)), np.empty(0, dtype=np.uint64), np.empty(0, dtype=np.uint64))
 

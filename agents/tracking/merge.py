@@ -1,36 +1,50 @@
-"""Copies of the particles of other agents: the copies after a round, and their merge with received particles or components.
+"""Merge: the first step of a round, which joins what all owners state with the copies that no fresh claim covers.
 
-Rules. A received particle replaces a copy with the same id. Copies remain only with mass, inside the arena and within the horizon.
-Compiled twin of `remote_copies`: agents/compiled/copy_kernels.py.
+Rules, of particles and of components. Two claims overlap when their diagrams differ: within `timing.overlap` m of the border the targets of
+both count, and deeper inside the smaller power distance wins. Agents with the same diagram have claims that tile the arena. An unknown
+agent has cut another diagram, even if it states the same hash. A received target replaces a copy with the same id.
 """
 
-import math
+from collections.abc import Callable
+from typing import TypeVar
 
 import numpy as np
 
-from agents.tracking import claims
-from agents.tracking.claims import Claim
-from agents.tracking.particles import Particles, T, canonical, join, select
-from agents.tracking.phd import predict
+from agents.backend import Backend
+from agents.gossip.table import GossipTable
+from agents.tracking.claims import end_to_end
+from agents.tracking.gaussians import Mixture
+from agents.tracking.particles import Particles, canonical, join, select
 from agents.tracking.step import Step
-from protocol import geometry
+from agents.tracking.tracker import OwnedState
+from protocol.messages import Gossip
+
+Targets = TypeVar("Targets", Particles, Mixture)
 
 
-def remote_copies(near: Particles, density: Particles, polygon: np.ndarray, claim: Claim, horizon: float, step: Step) -> Particles:
-    """The copies after a round, all of positive weight: particles `near` the cell, then those of the `density` one step before.
+def merge(
+    mine: OwnedState,
+    copies: Targets,
+    table: GossipTable,
+    unknown: frozenset[str],
+    step: Step,
+    backend: Backend,
+    owned_by_sender: Callable[[Gossip], OwnedState],
+) -> Targets:
+    """The targets that count one tick before `step`, in canonical order: what this agent owns, what others state, and the orphaned copies.
 
-    Of the corrected particles `near` the cell, those in the arena and outside the claim are copies. Of the density, moved
-    by one step, those farther than the halo and within `horizon` m of the cell are copies. `polygon` (V, 2) is the cell, m.
+    `table` holds all gossips of the tick, the own one included, and `unknown` the senders in it that this agent did not know before.
     """
-    arena, states = step.config.arena, near.states
-    others = select(near, ~claims.owned(states, claim, arena) & claims.in_arena(states, arena))
-    moved = predict(density, step)
-    away = geometry.distances(polygon, moved.states)
-    apart, within = away > step.config.filter.halo, (away <= horizon) | (horizon == math.inf)
-    copies = join([others, select(moved, apart & within)])
-    return select(copies, copies.weights > 0.0)
+    claiming = [gossip for gossip in table.gossips if gossip.claim_tick == step.tick - 1 and gossip.sender != mine.owner]
+    owned = [mine, *map(owned_by_sender, claiming)]
+    received, claims = join([each.targets for each in owned]), end_to_end([each.claim for each in owned])
+    # the complement of the hash that an unknown sender states is the hash of no other diagram
+    hashes = [~each.diagram_hash if each.owner in unknown else each.diagram_hash for each in owned]
+    sizes = [len(each.targets.ids) for each in owned]
+    kept = backend.resolve_conflicts(received.states, sizes, claims, hashes, step.config.timing.overlap)
+    return united(received, kept, copies, backend.orphaned(copies.states, claims, step.config.arena))
 
 
-def merge(received: T, kept: np.ndarray, copies: T, free: np.ndarray) -> T:
+def united(received: Targets, kept: np.ndarray, copies: Targets, free: np.ndarray) -> Targets:
     """The `kept` received rows and the `free` copies in canonical order; a received row replaces a copy with the same id."""
     return canonical(join([select(received, kept), select(copies, free)]))

@@ -4,10 +4,11 @@ Data types: a `RegionInput` is an owner with its cell; a `RegionUpdate` is the r
 it, and those drawn from the latter.
 
 Rules. All particles are predicted, and those around the cell are corrected with all scans that reach it. Targets are estimated, and some
-particles around those in the cell are renamed. Then those in the cell are resampled. These functions are the reference;
-agents/compiled/region_kernels.py computes the same bits.
+particles around those in the cell are renamed. Then those in the cell are resampled. What is left becomes copies, once they are
+needed. These functions are the reference; agents/compiled/region_kernels.py and copy_kernels.py compute the same bits.
 """
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -15,6 +16,7 @@ import numpy as np
 from agents.gossip.table import GossipTable, as_particles
 from agents.tracking import claims, phd
 from agents.tracking.births import near_part
+from agents.tracking.claims import Claim
 from agents.tracking.extraction import NO_ESTIMATES, estimate_targets
 from agents.tracking.labels import renamed
 from agents.tracking.measurement_likelihood import BEARING, model_of
@@ -91,3 +93,18 @@ def in_view(particles: Particles, sensor: SensorModel, pose: Pose) -> tuple[floa
     probability = sensor.probability(particles.states[:, :2], pose)
     seen = np.where(probability > 0.0, particles.weights, 0.0)
     return total(seen), total(seen * probability)
+
+
+def remote_copies(near: Particles, density: Particles, polygon: np.ndarray, claim: Claim, horizon: float, step: Step) -> Particles:
+    """The copies after a round, all of positive weight: particles `near` the cell, then those of the `density` one step before.
+
+    Of the corrected particles `near` the cell, those in the arena and outside the claim are copies. Of the density, moved
+    by one step, those farther than the halo and within `horizon` m of the cell are copies. `polygon` (V, 2) is the cell, m.
+    """
+    arena, states = step.config.arena, near.states
+    others = select(near, ~claims.owned(states, claim, arena) & claims.in_arena(states, arena))
+    moved = predict(density, step)
+    away = geometry.distances(polygon, moved.states)
+    apart, within = away > step.config.filter.halo, (away <= horizon) | (horizon == math.inf)
+    copies = join([others, select(moved, apart & within)])
+    return select(copies, copies.weights > 0.0)

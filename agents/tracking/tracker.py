@@ -7,7 +7,7 @@ Rules. A round knows agents, cells and claims; the tracker alone knows how targe
 of functions that give new values and keep their arguments; `belief.ParticlePhd` is one. Copies of others are computed when first needed.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple, Protocol
 
@@ -15,11 +15,10 @@ import numpy as np
 
 from agents.config import FilterSettings
 from agents.gossip.table import GossipTable
-from agents.tracking.claims import Claim, Claims, end_to_end
+from agents.tracking.claims import NO_CLAIM, Claim
 from agents.tracking.extraction import TargetEstimates
 from agents.tracking.particles import Particles
 from agents.tracking.step import Step
-from protocol.messages import Gossip
 from protocol.sensing import Pose, SensorModel
 
 # ticks over which copies are moved at most. What has moved for so long may be anywhere. Nothing is born on the way, so that more ticks
@@ -87,9 +86,14 @@ class Belief:
         return self.stamp if self.kept_since is None else self.kept_since
 
 
-def ticks_to_replay(belief: Belief, step: Step) -> range:
-    """The ticks between that of a belief and that of a step, of too many the last `MOST_MISSED`."""
-    return range(max(belief.stamp + 1, step.tick - MOST_MISSED), step.tick)
+def missed_steps(belief: Belief, step: Step) -> tuple[Step, ...]:
+    """The steps between the tick of a belief and `step`, of too many the last `MOST_MISSED`."""
+    return tuple([step._replace(tick=tick) for tick in range(max(belief.stamp + 1, step.tick - MOST_MISSED), step.tick)])
+
+
+def belief_without_claim(owner: str, stamp: int, nothing: Any, copies: Any) -> Belief:
+    """The belief of an agent that claims and owns `nothing`: all targets are copies."""
+    return Belief(stamp, OwnedState(owner, NO_CLAIM, nothing, 0), copies)
 
 
 def unknown_senders(belief: Belief, table: GossipTable) -> frozenset[str]:
@@ -104,19 +108,6 @@ def claims_tile_arena(belief: Belief, table: GossipTable) -> bool:
     """
     agreed = belief.mine.diagram_hash != 0 and table.claimed == (belief.claim_tick, belief.mine.diagram_hash)
     return agreed and bool(belief.generator_names) and belief.generator_names <= table.name_set and not unknown_senders(belief, table)
-
-
-def stated_claims(
-    mine: OwnedState, unknown: frozenset[str], table: GossipTable, last: int, owned_by_sender: Callable[[Gossip], OwnedState]
-) -> tuple[list[OwnedState], Claims, list[int]]:
-    """The states after the round `last`, the own one first; their claims, and the hashes of the diagrams from which these were cut.
-
-    The complement of the hash that an `unknown` sender states is the hash of no other diagram.
-    """
-    owned = [owned_by_sender(gossip) for gossip in table.gossips if gossip.claim_tick == last and gossip.sender != mine.owner]
-    owned.insert(0, mine)
-    hashes = [~each.diagram_hash if each.owner in unknown else each.diagram_hash for each in owned]
-    return owned, end_to_end([each.claim for each in owned]), hashes
 
 
 class Tracker(Protocol):
@@ -140,7 +131,7 @@ class Tracker(Protocol):
     def catch_up(self, belief: Belief, step: Step) -> Belief:
         """The belief at the tick before `step.tick`, without a claim if that round was missed. `update` predicts the rest.
 
-        Copies move by the `ticks_to_replay`.
+        Copies move by the `missed_steps`.
         """
 
     def keep_claim(self, belief: Belief, step: Step, alone: RegionUpdate | None = None) -> Belief:

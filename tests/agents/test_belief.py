@@ -9,13 +9,13 @@ import pytest
 from agents.backend import PLAIN
 from agents.config import AgentConfig, FilterSettings, TimingSettings
 from agents.gossip.table import GossipTable, as_particles
-from agents.tracking.belief import MOST_COPIES, Copies, CopyInputs, ParticlePhd, owned_by_sender, start, worth_keeping
+from agents.tracking.belief import MOST_COPIES, Copies, CopyInputs, ParticlePhd, owned_by_sender, worth_keeping
 from agents.tracking.claims import NO_CLAIM, make_claim
 from agents.tracking.gaussian_belief import MixturePhd
 from agents.tracking.particles import NO_PARTICLES, Particles, canonical, join, unlabelled
 from agents.tracking.phd import predict
 from agents.tracking.step import Step
-from agents.tracking.tracker import Belief, OwnedState
+from agents.tracking.tracker import Belief, OwnedState, belief_without_claim
 from protocol.fields import pack
 from protocol.keys import order
 from protocol.messages import Gossip
@@ -205,6 +205,6 @@ def test_who_missed_nothing_is_not_woken() -> None:
 
 
 def test_at_the_start_everybody_holds_the_prior_and_nobody_owns_anything() -> None:
-    belief = start(particles((1, 20.0, 0.1), (2, 80.0, 0.1)), "s1")
+    belief = belief_without_claim("s1", -1, NO_PARTICLES, Copies(particles((1, 20.0, 0.1), (2, 80.0, 0.1))))
     assert belief.mine.claim is NO_CLAIM and merged(belief, []) == [1, 2]
     assert belief.copies.compute().weights.sum() == pytest.approx(0.2)

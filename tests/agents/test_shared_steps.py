@@ -12,7 +12,7 @@ from agents.coverage.cells import cut
 from agents.gossip.table import KAPPA, GossipTable
 from agents.tracking.births import Scan, measurement_births
 from agents.tracking.claims import end_to_end, make_claim
-from agents.tracking.merge import merge
+from agents.tracking.merge import united
 from agents.tracking.particles import NO_PARTICLES, Particles, unlabelled
 from agents.tracking.phd import sample_offset
 from agents.tracking.step import Step
@@ -155,11 +155,11 @@ def test_clutter_density_is_the_expected_clutter_over_the_area() -> None:
 
 def test_an_id_that_is_told_and_copied_is_kept_once_as_it_was_told() -> None:
     told, copies = particles((1.0, 1.0, 0.1), (2.0, 2.0, 0.2), (3.0, 3.0, 0.3)), particles((9.0, 9.0, 0.9), (8.0, 8.0, 0.8))
-    united = merge(told, np.array([True, False, True]), copies, np.array([True, True]))
-    assert united.ids.tolist() == [1, 2, 3] and united.weights.tolist() == [0.1, 0.8, 0.3]
+    merged = united(told, np.array([True, False, True]), copies, np.array([True, True]))
+    assert merged.ids.tolist() == [1, 2, 3] and merged.weights.tolist() == [0.1, 0.8, 0.3]
     twice = particles((1.0, 1.0, 0.1), (2.0, 2.0, 0.2))
     twice = unlabelled(twice.states, twice.weights, np.array([7, 7], dtype=np.uint64))
-    assert merge(twice, np.array([True, True]), NO_PARTICLES, np.array([], dtype=bool)).weights.tolist() == [0.1]
+    assert united(twice, np.array([True, True]), NO_PARTICLES, np.array([], dtype=bool)).weights.tolist() == [0.1]
 
 
 @pytest.mark.parametrize("name", ["s1", "s2", "s10"])
