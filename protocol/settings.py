@@ -74,6 +74,10 @@ class ArenaSettings(Section, frozen=True, kw_only=True):
     width: Length = 100.0
     height: Length = 100.0
 
+    def holds(self, x: Any, y: Any) -> Any:
+        """Whether places at x and y, m, lie in the arena, its border included; both are numbers or arrays, and so is the answer."""
+        return (x >= 0.0) & (x <= self.width) & (y >= 0.0) & (y <= self.height)
+
 
 class DetectionSettings(Section, frozen=True, kw_only=True):
     """[detection] what a scan returns for a target in view, and what else."""

@@ -106,7 +106,7 @@ def pose_remarks(config: WorldConfig) -> list[str]:
     for name, (x, y, _) in config.bodies.poses.items():
         if name not in config.members:
             remarks.append(f"bodies.poses.{name}: there is no such agent")
-        if not (0.0 <= x <= config.arena.width and 0.0 <= y <= config.arena.height):
+        if not config.arena.holds(x, y):
             remarks.append(f"bodies.poses.{name}: lies outside of the arena of {config.arena.width:g} x {config.arena.height:g} m")
     return remarks
 

@@ -21,7 +21,7 @@ from world.recorded.robots import ReplayedBodies, ReplayedScans, frames_by_tick
 from world.recorded.ships import read_ships
 from world.recorded.targets import RecordedTargets
 from world.recorded.tracks import RecordedWorld
-from world.targets import Targets, inside
+from world.targets import Targets
 
 
 class TargetSource(Protocol):
@@ -129,7 +129,7 @@ def _check_arena(config: WorldConfig, recording: RecordedWorld) -> None:
     for visit in recording.visits:
         there = moments[(visit.times[0] <= moments) & (moments <= visit.times[-1])]
         path = np.column_stack([np.interp(there, visit.times, column) for column in visit.places.T])
-        if inside(path, arena).any():
+        if arena.holds(*path.T).any():
             return
         places.append(path)
     spread = np.vstack(places)

@@ -94,14 +94,8 @@ def arrivals(rng: np.random.Generator, number: int, arena: ArenaSettings, step: 
     headings = wrap((side + 1.0) * (math.pi / 2.0) + elementwise(math.asin, 2.0 * draws[:, 1] - 1.0))
     way = step * draws[:, 2]
     positions = np.column_stack([x, y]) + way[:, None] * _directions(headings)
-    kept = inside(positions, arena)
+    kept = arena.holds(*positions.T)
     return positions[kept], headings[kept]
-
-
-def inside(positions: np.ndarray, arena: ArenaSettings) -> np.ndarray:
-    """Which positions (N, 2) lie in the arena, its border included: (N,) bool."""
-    x, y = positions[:, 0], positions[:, 1]
-    return (x >= 0.0) & (x <= arena.width) & (y >= 0.0) & (y <= arena.height)
 
 
 def wrap(headings: np.ndarray) -> np.ndarray:
@@ -145,7 +139,7 @@ class Targets:
             self.positions, headings = reflect(positions, headings, self._arena)
             self.headings = wrap(headings)
         else:
-            kept = inside(positions, self._arena)
+            kept = self._arena.holds(*positions.T)
             self.positions, self.headings, self.ids = positions[kept], wrap(headings[kept]), self.ids[kept]
             self._enter()
         self.tick += 1

@@ -17,7 +17,7 @@ import numpy as np
 
 from agents.config import SearchSettings
 from agents.gossip.table import GossipTable
-from agents.tracking.particles import Particles, select, total
+from agents.tracking.particles import Particles, mirrored, select, total
 from protocol.arithmetic import exp_minus
 from protocol.sensing import Pose, SensorModel, WedgeSensor
 
@@ -155,8 +155,7 @@ def bin_values(task: Task, seen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     ahead, now, stale = settings.horizon + numbers.dt, numbers.now, settings.stale
     px, py = x + vx * ahead, y + vy * ahead
     if not numbers.is_open:
-        px = np.where(px < 0.0, -px, np.where(px > numbers.width, 2.0 * numbers.width - px, px))
-        py = np.where(py < 0.0, -py, np.where(py > numbers.height, 2.0 * numbers.height - py, py))
+        px, py = mirrored(px, numbers.width)[0], mirrored(py, numbers.height)[0]
     last = _seen_at(seen, x, y, side)
     for before in (0.5 * stale, stale):
         last = np.where(now - last > stale, np.maximum(last, _seen_at(seen, x - vx * before, y - vy * before, side)), last)

@@ -15,6 +15,7 @@ import numpy as np
 
 from agents.interest.position_table import GENERATOR_X, POWER_RADIUS, SENSOR_REACH, SENSOR_X
 from agents.interest.tiles import Bounds, Rectangle
+from agents.tracking.particles import squared_distances
 from protocol.geometry import distances
 
 BEACON_PERIOD = 4.0  # s of world time between two beacons of an agent that hardly moves
@@ -52,13 +53,11 @@ def owners(points: np.ndarray, generators: np.ndarray) -> tuple[np.ndarray, np.n
     found = np.zeros(len(generators), dtype=bool)
     rows = np.nonzero(_within_reach(points, generators))[0]
     near = generators[rows]
-    x, y = near[:, 0], near[:, 1]
-    dx, dy = x[:, None] - points[:, 0], y[:, None] - points[:, 1]
-    power = dx * dx + dy * dy - (near[:, 2] ** 2)[:, None]
+    power = squared_distances(near, points) - (near[:, 2] ** 2)[:, None]
     best = power.argmin(axis=0)
     least = power[best, np.arange(len(points))]
-    apart = np.sqrt((x[:, None] - x) ** 2 + (y[:, None] - y) ** 2)
-    found[rows] = (power - least <= OWNER_SLACK * apart[:, best]).any(axis=1)
+    apart = np.sqrt(squared_distances(near, near[best]))
+    found[rows] = (power - least <= OWNER_SLACK * apart).any(axis=1)
     return found, least
 
 
@@ -132,6 +131,5 @@ def _likeliest_cell(generators: np.ndarray, arena: np.ndarray) -> np.ndarray:
     counts = [2 + int(max(high[axis] - low[axis], 0.0) / (2.0 * GRID_SPACING)) for axis in (0, 1)]
     axes = [low[axis] + (high[axis] - low[axis]) / (counts[axis] - 1) * np.arange(counts[axis]) for axis in (0, 1)]
     points = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 2)
-    dx, dy = generators[:, :1] - points[:, 0], generators[:, 1:2] - points[:, 1]
-    power = dx * dx + dy * dy - (generators[:, 2] ** 2)[:, None]
+    power = squared_distances(generators, points) - (generators[:, 2] ** 2)[:, None]
     return points[(power[-1] - power[:-1].min(axis=0)).argmin()][None, :]

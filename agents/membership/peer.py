@@ -78,7 +78,7 @@ def plausible(gossip: Gossip, announced: AnnouncedSensor, arena: ArenaSettings) 
 
     U and the discs of its power radius and of its claim are at most D, the COD is within reach, and the goal in the arena.
     """
-    if gossip.goal is not None and not (0.0 <= gossip.goal[0] <= arena.width and 0.0 <= gossip.goal[1] <= arena.height):
+    if gossip.goal is not None and not arena.holds(*gossip.goal):
         return False
     area, distance = gossip.extent
     return area <= announced.most_area and distance <= announced.most_distance

@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from agents.tracking.particles import squared_distances
 from protocol.keys import order
 from protocol.settings import ArenaSettings
 
@@ -53,9 +54,7 @@ def end_to_end(claims: Sequence[Claim]) -> Claims:
 
 def power_distances(points: np.ndarray, generators: np.ndarray) -> np.ndarray:
     """Power distances |x - p|^2 - r^2 in m^2 (15) of points (N, 2) to generators (G, 3): (N, G)."""
-    dx = points[:, 0, None] - generators[None, :, 0]
-    dy = points[:, 1, None] - generators[None, :, 1]
-    return dx * dx + dy * dy - generators[None, :, 2] * generators[None, :, 2]
+    return squared_distances(points, generators) - generators[None, :, 2] * generators[None, :, 2]
 
 
 def owned(points: np.ndarray, claim: Claim, arena: ArenaSettings) -> np.ndarray:
@@ -65,13 +64,7 @@ def owned(points: np.ndarray, claim: Claim, arena: ArenaSettings) -> np.ndarray:
     distances = power_distances(points, claim.generators)
     mine = distances[:, :1]
     inside: np.ndarray = np.all(np.where(claim.wins_ties[None, :], mine < distances, mine <= distances), axis=1)
-    return inside & in_arena(points, arena)
-
-
-def in_arena(points: np.ndarray, arena: ArenaSettings) -> np.ndarray:
-    """True for the points in the arena, its border included: (N,) bool."""
-    x, y = points[:, 0], points[:, 1]
-    return (x >= 0.0) & (x <= arena.width) & (y >= 0.0) & (y <= arena.height)
+    return inside & arena.holds(points[:, 0], points[:, 1])
 
 
 def depths(points: np.ndarray, claim: Claim) -> np.ndarray:

@@ -145,7 +145,7 @@ class MixturePhd(NamedTuple):
     ) -> Belief:
         """See `Tracker.belief_after`: copies are the corrected components in the arena, outside the cell and within the horizon of it."""
         means, arena = update.updated.means, step.config.arena
-        others = ~claims.owned(means, region.claim, arena) & claims.in_arena(means, arena)
+        others = ~claims.owned(means, region.claim, arena) & arena.holds(means[:, 0], means[:, 1])
         if diagram.horizon < math.inf:
             others &= geometry.distances(region.polygon, means) <= diagram.horizon
         mine = OwnedState(region.owner, region.claim, update.resampled, diagram.hash)

@@ -13,7 +13,6 @@ import numpy as np
 from agents.config import AgentConfig
 from agents.tracking import births
 from agents.tracking.births import Scan, least_density, survival_probability
-from agents.tracking.claims import in_arena
 from agents.tracking.gaussians import (
     EMPTY,
     KERNEL_SHARE,
@@ -26,7 +25,7 @@ from agents.tracking.gaussians import (
 )
 from agents.tracking.labels import NO_LABEL, birth_labels, given_labels
 from agents.tracking.measurement_likelihood import POSE_SPREAD, model_of, noise_of
-from agents.tracking.particles import column_sums, join, mass_within, select
+from agents.tracking.particles import column_sums, join, mass_within, mirrored, select
 from agents.tracking.step import Step
 from protocol.arithmetic import exp_minus
 from protocol.random_streams import random_key, scramble
@@ -129,12 +128,11 @@ def _in_arena(mixture: Mixture, step: Step) -> Mixture:
     if step.config.filter.border == "reflect":
         means, signs = mixture.means.copy(), np.ones((len(mixture.ids), 4))
         for axis, length in ((0, arena.width), (1, arena.height)):
-            low, high = means[:, axis] < 0.0, means[:, axis] > length
-            means[:, axis] = np.where(low, -means[:, axis], np.where(high, 2.0 * length - means[:, axis], means[:, axis]))
-            means[:, axis + 2] = np.where(low | high, -means[:, axis + 2], means[:, axis + 2])
-            signs[:, axis] = signs[:, axis + 2] = np.where(low | high, -1.0, 1.0)
+            means[:, axis], outside = mirrored(means[:, axis], length)
+            signs[outside, axis] = signs[outside, axis + 2] = -1.0
+        means[:, 2:] *= signs[:, 2:]
         mixture = mixture._replace(means=means, covariances=mixture.covariances * signs[:, :, None] * signs[:, None, :])
-    return select(mixture, in_arena(mixture.means, arena))
+    return select(mixture, arena.holds(mixture.means[:, 0], mixture.means[:, 1]))
 
 
 def correct(mixture: Mixture, scans: Sequence[Scan], step: Step) -> Mixture:

@@ -73,3 +73,9 @@ def column_sums(values: np.ndarray) -> np.ndarray:
 def mass_within(places: np.ndarray, others: np.ndarray, masses: np.ndarray, radius: float) -> np.ndarray:
     """The sums (N,) of the masses (M,) of other places within `radius` m of each place; places have 2 or more columns, m."""
     return column_sums(np.where(squared_distances(others, places) <= radius * radius, masses[:, None], 0.0))
+
+
+def mirrored(places: np.ndarray, length: float) -> tuple[np.ndarray, np.ndarray]:
+    """Coordinates (N,) mirrored at 0 and at `length`, all in m, and True for those that lay beyond: (N,) bool."""
+    low, high = places < 0.0, places > length
+    return np.where(low, -places, np.where(high, 2.0 * length - places, places)), low | high

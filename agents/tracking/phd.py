@@ -17,7 +17,7 @@ from agents.tracking.births import Scan, birth_density, founded_labels, measurem
 from agents.tracking.extraction import block_sums
 from agents.tracking.labels import ADOPTED_SHARE, NO_LABEL, given_labels
 from agents.tracking.measurement_likelihood import distances_and_peaks, kernel_variance, model_of, noise_of
-from agents.tracking.particles import NO_PARTICLES, WIRE_TYPE, Particles, canonical, column_sums, join, squared_distances
+from agents.tracking.particles import NO_PARTICLES, WIRE_TYPE, Particles, canonical, column_sums, join, mirrored, squared_distances
 from agents.tracking.step import Step
 from protocol.arithmetic import exp_minus
 from protocol.gaussian_components import MOST_OWN_MASS
@@ -43,18 +43,10 @@ def predict(particles: Particles, step: Step) -> Particles:
     x = states[:, 0] + vx * dt + normal(scramble(particles.ids, random_key(seed, "east", tick))) * settings.position_noise
     y = states[:, 1] + vy * dt + normal(scramble(particles.ids, random_key(seed, "north", tick))) * settings.position_noise
     if settings.border == "reflect":
-        x, vx = _reflect(x, vx, arena.width)
-        y, vy = _reflect(y, vy, arena.height)
+        (x, beyond_x), (y, beyond_y) = mirrored(x, arena.width), mirrored(y, arena.height)
+        vx, vy = np.where(beyond_x, -vx, vx), np.where(beyond_y, -vy, vy)
     weights = particles.weights * survival_probability(dt, settings)
-    inside = (x >= 0.0) & (x <= arena.width) & (y >= 0.0) & (y <= arena.height)
-    return Particles(np.column_stack([x, y, vx, vy]), np.where(inside, weights, 0.0), particles.ids, particles.labels)
-
-
-def _reflect(place: np.ndarray, speed: np.ndarray, length: float) -> tuple[np.ndarray, np.ndarray]:
-    """Coordinates in m and velocities in m/s after reflection at 0 and at `length` m."""
-    low, high = place < 0.0, place > length
-    mirrored = np.where(low, -place, np.where(high, 2.0 * length - place, place))
-    return mirrored, np.where(low | high, -speed, speed)
+    return Particles(np.column_stack([x, y, vx, vy]), np.where(arena.holds(x, y), weights, 0.0), particles.ids, particles.labels)
 
 
 def likelihood_noise(noise: float, settings: FilterSettings) -> float:

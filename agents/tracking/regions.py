@@ -102,7 +102,7 @@ def remote_copies(near: Particles, density: Particles, polygon: np.ndarray, clai
     by one step, those farther than the halo and within `horizon` m of the cell are copies. `polygon` (V, 2) is the cell, m.
     """
     arena, states = step.config.arena, near.states
-    others = select(near, ~claims.owned(states, claim, arena) & claims.in_arena(states, arena))
+    others = select(near, ~claims.owned(states, claim, arena) & arena.holds(states[:, 0], states[:, 1]))
     moved = predict(density, step)
     away = geometry.distances(polygon, moved.states)
     apart, within = away > step.config.filter.halo, (away <= horizon) | (horizon == math.inf)

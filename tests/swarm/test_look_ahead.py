@@ -16,7 +16,7 @@ from agents.look_ahead import GossipHistory
 from agents.round import context_of
 from agents.tracking.belief import owned_by_sender
 from agents.tracking.births import background_births
-from agents.tracking.claims import NO_CLAIM, in_arena
+from agents.tracking.claims import NO_CLAIM
 from agents.tracking.extraction import estimate_targets
 from agents.tracking.gaussian_reduction import estimate_and_label
 from agents.tracking.gaussians import Mixture
@@ -97,7 +97,7 @@ def replayed(scenario: Scenario, owned: Particles, ticks: list[dict[str, Gossip]
         everywhere = RegionInput("", 0, sensors[0].sensor, (0.0, 0.0, 0.0), _widely(config.arena), NO_CLAIM)
         predicted = predict(canonical(owned), step)
         updated = backend.update_regions(gossip_table(said, sensors, config), owned, born, [everywhere], step)[0].updated
-        owned = select(updated, in_arena(updated.states, config.arena))  # a tick ends with what is in the arena
+        owned = select(updated, config.arena.holds(*updated.states[:, :2].T))  # a tick ends with what is in the arena
     return drawn(owned, predicted, {name: owned_by_sender(gossip).claim for name, gossip in claims.items()}, step)
 
 

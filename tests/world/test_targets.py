@@ -9,7 +9,7 @@ from protocol.fields import MAX_DETECTIONS
 from protocol.random_streams import stream
 from protocol.settings import ArenaSettings, BadSetting
 from world.config import TargetSettings
-from world.targets import Targets, arrival_rate, arrivals, inside, reflect
+from world.targets import Targets, arrival_rate, arrivals, reflect
 
 SQUARE = ArenaSettings(width=40.0, height=40.0)
 
@@ -66,7 +66,7 @@ def test_reflected_targets_stay_inside_and_keep_their_names() -> None:
     targets = Targets(TargetSettings(count=50, border="reflect"), SQUARE, 0.5, seed=2)
     for _ in range(300):
         targets.step()
-        assert inside(targets.positions, SQUARE).all()
+        assert SQUARE.holds(*targets.positions.T).all()
         assert (np.abs(targets.headings) <= math.pi).all()
     assert targets.ids.tolist() == list(range(1, 51))
 
@@ -104,7 +104,7 @@ def test_arrivals_come_in_by_the_cosine_law_through_every_side_alike() -> None:
 def test_arrivals_have_gone_part_of_their_first_tick() -> None:
     arena = ArenaSettings()
     positions, _ = arrivals(stream(8, "test"), 20000, arena, step=1.0)
-    assert inside(positions, arena).all()
+    assert arena.holds(*positions.T).all()
     border = np.minimum(np.minimum(positions[:, 0], 100.0 - positions[:, 0]), np.minimum(positions[:, 1], 100.0 - positions[:, 1]))
     assert border.max() <= 1.0
     assert np.mean(border) == pytest.approx(math.pi / 8.0, abs=0.01)  # mean of cos times mean of a uniform time
@@ -133,7 +133,7 @@ def test_targets_that_cross_leave_and_new_ones_get_new_names() -> None:
         before = set(targets.ids.tolist())
         targets.step()
         now = set(targets.ids.tolist())
-        assert inside(targets.positions, SQUARE).all()
+        assert SQUARE.holds(*targets.positions.T).all()
         assert len(now) == len(targets.ids) == len(targets.positions) == len(targets.headings)
         assert not (now - before) & seen, "an id came back"
         seen |= now

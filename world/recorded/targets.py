@@ -6,7 +6,6 @@ import numpy as np
 
 from protocol.settings import ArenaSettings
 from world.recorded.tracks import Visit
-from world.targets import inside
 
 
 class RecordedTargets:
@@ -35,5 +34,5 @@ class RecordedTargets:
         present = np.flatnonzero((self._first <= self.time) & (self.time <= self._last)).tolist()
         places = np.array([self._visits[number].at(self.time) for number in present]).reshape(-1, 2)
         ids = np.array([self._visits[number].target for number in present], dtype=np.uint64)
-        kept = inside(places, self._arena)
+        kept = self._arena.holds(*places.T)
         return places[kept], ids[kept]
