@@ -334,8 +334,8 @@ class Agent(Node):
         """Take the beacons of other agents, and plan an answer if one of them needs it."""
         if self._interest is None:
             return NO_EFFECTS
-        refused = self.membership.agreement.differing(beacons)
-        warnings = self.membership.agreement.refuse(refused) if refused else NO_EFFECTS
+        refused = self.peer_table.agreement.with_others(beacons)
+        warnings = self.peer_table.agreement.refuse(refused, self.counters) if refused else NO_EFFECTS
         if not self._interest.take_beacons([beacon for beacon in beacons if beacon not in refused] if refused else beacons):
             return warnings
         self._answer_at = now + REPLY_DELAY if self._answer_at is None else self._answer_at

@@ -50,7 +50,7 @@ class InterestManager:
 
     def __init__(self, context: AgentContext, peer_table: PeerTable, incarnation: int) -> None:
         config = context.config
-        self._settings = peer_table.digest
+        self._settings = peer_table.agreement.digest
         self.settled = False  # the first selection is made and the others have had the time to make theirs
         self.due: float | None = None  # when to call `on_timer`
         self._context, self._peer_table, self._incarnation = context, peer_table, incarnation

@@ -14,24 +14,23 @@ MOST_WARNINGS = 64  # of one agent. More help nobody: all are counted, and anybo
 class SettingsAgreement:
     """The settings of one agent, compared with those that others announce."""
 
-    def __init__(self, name: str, settings: SharedSettings, counters: Counter[str]) -> None:
-        self.settings = settings
-        self._name, self._digest = name, settings_digest(settings)
-        self._counters = counters
+    def __init__(self, name: str, settings: SharedSettings) -> None:
+        self.settings, self.digest = settings, settings_digest(settings)
+        self._name = name
         self._warned: set[tuple[str, int]] = set()  # name and incarnation
 
-    def differs(self, hello: Hello) -> bool:
-        """Whether a Hello announces other settings."""
-        return hello.digest != self._digest and bool(differing_settings(self.settings, hello.settings))
+    def differing(self, hello: Hello) -> tuple[str, ...]:
+        """The settings that a Hello announces with other values, as `section.name`."""
+        return () if hello.digest == self.digest else differing_settings(self.settings, hello.settings)
 
-    def differing(self, beacons: Sequence[Beacon]) -> list[Beacon]:
+    def with_others(self, beacons: Sequence[Beacon]) -> list[Beacon]:
         """The beacons that announce other settings."""
-        agreed = 0, self._digest
+        agreed = 0, self.digest
         return [beacon for beacon in beacons if beacon.settings not in agreed]
 
-    def refuse(self, messages: Sequence[Hello | Beacon]) -> list[Effect]:
+    def refuse(self, messages: Sequence[Hello | Beacon], counters: Counter[str]) -> list[Effect]:
         """Count messages with other settings, and return a warning for each new sender."""
-        self._counters["rejected.settings"] += len(messages)
+        counters["rejected.settings"] += len(messages)
         return [warning for message in messages for warning in self._warn(message)]
 
     def _warn(self, message: Hello | Beacon) -> list[Effect]:
@@ -40,7 +39,7 @@ class SettingsAgreement:
         if announcer in self._warned or len(self._warned) >= MOST_WARNINGS:
             return []
         self._warned.add(announcer)
-        fields = differing_settings(self.settings, message.settings) if isinstance(message, Hello) else ()
+        fields = self.differing(message) if isinstance(message, Hello) else ()
         where = ", ".join(fields) or "a setting that only its Hello names"
         consequence = "" if message.sender == "world" else ": it computes another PHD and is refused"
         return [Warn(f"the settings of {message.sender} differ from those of {self._name} in {where}{consequence}")]

@@ -7,7 +7,7 @@ agent when a younger incarnation of its name appears.
 from collections import Counter
 
 from agents.gossip import message_builders
-from agents.membership.agreement import MOST_WARNINGS, SettingsAgreement
+from agents.membership.agreement import MOST_WARNINGS
 from agents.membership.announcements import AnnouncementSchedule
 from agents.membership.body_tokens import BodyTokens
 from agents.membership.peer_table import PeerTable
@@ -27,7 +27,6 @@ class Membership:
         others, neighbours_only = context.config.others(context.name), peer_table.neighbours_only
         self.session_watchdog = SessionWatchdog(context.name, ["world"] if neighbours_only else [*others, "world"])
         self.announcements = AnnouncementSchedule(0 if neighbours_only else len(others), peer_table.is_roster_alive)
-        self.agreement = SettingsAgreement(context.name, peer_table.settings, counters)
         self.world_incarnation = 0
         self._warned: set[tuple[str, int]] = set()  # names and incarnations of older peers
         self._context, self._incarnation, self._peer_table, self._counters = context, incarnation, peer_table, counters
@@ -86,9 +85,10 @@ class Membership:
         """Take a Hello: remember the announced sensor, compare the settings, and check the session for a half-open link."""
         if hello.sender == self._context.name:
             return self.fence(hello.incarnation)
+        agreement = self._peer_table.agreement
         reason = self._peer_table.take_hello(hello) if hello.role == "agent" else None
         # a refused sender still counts as heard, and the own Hello lists it
-        warnings = self.agreement.refuse([hello]) if self.agreement.differs(hello) else []
+        warnings = agreement.refuse([hello], self._counters) if agreement.differing(hello) else []
         if reason and reason != "settings":
             self._counters[f"rejected.{reason}"] += 1
             return [*warnings, *self._warn_of_older(hello.sender, hello.incarnation)]
@@ -124,4 +124,5 @@ class Membership:
     def _hello(self, now: float | None) -> Hello:
         """The Hello of this agent at `now`; None, before the first observation: it lists all peers that ever sent a Hello and are alive."""
         self.session_watchdog.keep(self._peer_table.peers)
-        return message_builders.hello(self._context, self._incarnation, self.session_watchdog.heard(now), self._peer_table.settings)
+        heard, settings = self.session_watchdog.heard(now), self._peer_table.agreement.settings
+        return message_builders.hello(self._context, self._incarnation, heard, settings)

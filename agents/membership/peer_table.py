@@ -25,11 +25,11 @@ from agents.config import AgentConfig
 from agents.gossip.inbox import RoundInbox
 from agents.interest.position_table import GENERATOR_X, NO_GENERATORS, POWER_RADIUS, PositionTable, UnsubscribedGenerators
 from agents.interest.selection import Choice
+from agents.membership.agreement import SettingsAgreement
 from agents.membership.peer import Peer, all_acceptable, announced_by, plausible, same_sensor, with_newer_generator, with_peer
 from protocol.fields import MAX_NAMES
 from protocol.messages import Beacon, Gossip, Hello
 from protocol.node import Batch
-from protocol.settings_digest import differing_settings, settings_digest
 
 COMPLETE_NEIGHBOURHOOD = 1  # in place of a hash: agents that hear neighbours and have complete interest sets cut parts of one diagram
 ACCEPTED = ""
@@ -54,8 +54,8 @@ class PeerTable:
         self._config, self._silence_limit = config, config.ticks_of_silence  # rounds
         self._measures_pace = config.run.clock == "realtime"
         self._responsive_rounds: deque[int] = deque(maxlen=self._silence_limit)  # ticks of the last ones
-        self._name, self.settings, self._others = name, config.shared_settings(), dict.fromkeys(config.others(name))
-        self.digest = settings_digest(self.settings)
+        self._name, self._others = name, dict.fromkeys(config.others(name))
+        self.agreement = SettingsAgreement(name, config.shared_settings())
         self.inbox = RoundInbox()
         self.pace = 1  # this agent shares the ticks that this number divides
         self._paces: dict[str, int] = {}  # of the peers that need a slower pace than every tick
@@ -110,7 +110,7 @@ class PeerTable:
         peer = self._get_or_create(hello.sender, hello.incarnation)
         if peer is None:
             return "incarnation"
-        differs = () if hello.digest == self.digest else differing_settings(self.settings, hello.settings)
+        differs = self.agreement.differing(hello)
         if differs != peer.differs and peer.announced is None:  # a peer that agreed before stays: one wrong bit must not silence it
             self._exclude(peer, differs)
         if differs:
