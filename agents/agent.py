@@ -27,15 +27,15 @@ from agents.membership.peer_table import ACCEPTED, OWN, UNASKED, PeerTable
 from agents.open_rounds import OpenRounds
 from agents.own_pose import OwnPose
 from agents.pace import Pace
-from agents.round import RoundResult, context_of, run_round
+from agents.round import RoundResult, context_of, result_at_start, run_round
 from agents.round_alone import is_claim_valid, predict_missed_ticks, unsent_gossip, update_without_gossips
 from agents.tracking.extraction import forecast
-from agents.tracking.step import Step
 from protocol.keys import all_of, one_of, tokens_of
 from protocol.messages import Beacon, Gossip, Hello, Observation
 from protocol.node import NO_EFFECTS, Alive, Batch, Effect, Event, Gone, Node, Received, Rejected, Started, Subscribe, Timer
 
 NO_WAKE_UP = 1 << 30
+NOWHERE = 0.0, 0.0, -1.0, -1.0  # the box of an agent that has not chosen its peers yet
 MOST_OVERDUE = 0.5  # of the time for which a round waits: when it closes later, its agent was not served in time
 
 
@@ -57,8 +57,7 @@ class Agent(Node):
         self.neighbours_only = self.peer_table.neighbours_only
         self.sees_all_tokens = not self.neighbours_only
         self._interest = InterestManager(self.context, self.peer_table, incarnation) if self.neighbours_only else None
-        nothing = (0.0, 0.0, -1.0, -1.0) if self.neighbours_only else None
-        self.outcome = RoundResult(self.context.tracker.start(name, Step(config, 0), nothing), self.context.announced.facts.capability)
+        self.outcome = result_at_start(self.context, NOWHERE if self.neighbours_only else None)
         self.membership = Membership(self.context, incarnation, self.peer_table, self.counters)
         self._observation: Observation | None = None  # of the open tick
         self._gossip: Gossip | None = None  # the own one of the open tick; None: no tick is open
@@ -277,9 +276,7 @@ class Agent(Node):
         effects = interest.on_timer(observation, self.outcome, now)
         if not interest.settled:
             return effects
-        nearby = interest.surroundings(observation, self.outcome)
-        known = self.context.tracker.start(self.name, Step(self.config, 0), nearby)
-        self.outcome = RoundResult(known, self.context.announced.facts.capability)
+        self.outcome = result_at_start(self.context, interest.surroundings(observation, self.outcome))
         return [*effects, *self._open_round(observation, now)]
 
     def _on_gossips(self, batch: Batch, now: float) -> list[Effect]:

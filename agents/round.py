@@ -92,6 +92,11 @@ class RoundResult:
         return power_radius(self.unused)
 
 
+def result_at_start(context: AgentContext, box: tuple[float, float, float, float] | None = None) -> RoundResult:
+    """The result before the first round: the prior, in the surroundings of a `box` alone if one is given, and all capacity unused."""
+    return RoundResult(context.tracker.start(context.name, context.config, box), context.announced.facts.capability)
+
+
 def run_round(
     context: AgentContext,
     last: RoundResult,

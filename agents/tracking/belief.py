@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from agents.backend import Backend
-from agents.config import FilterSettings
+from agents.config import AgentConfig, FilterSettings
 from agents.gossip.table import GossipTable, as_particles
 from agents.tracking.births import prior, prior_around, prior_size
 from agents.tracking.claims import Claim, make_claim
@@ -115,9 +115,9 @@ class ParticlePhd(NamedTuple):
 
     backend: Backend
 
-    def start(self, name: str, step: Step, box: tuple[float, float, float, float] | None = None) -> Belief:
+    def start(self, name: str, config: AgentConfig, box: tuple[float, float, float, float] | None = None) -> Belief:
         """See `Tracker.start`."""
-        filters, arena = step.config.filter, step.config.arena
+        filters, arena = config.filter, config.arena
         everywhere = prior(filters.seed, prior_size(filters, arena), filters, arena)
         return belief_without_claim(name, -1, NO_PARTICLES, Copies(everywhere if box is None else prior_around(everywhere, box)))
 

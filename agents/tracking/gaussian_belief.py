@@ -12,7 +12,7 @@ from functools import reduce
 from typing import Any, NamedTuple
 
 from agents.backend import Backend
-from agents.config import FilterSettings
+from agents.config import AgentConfig, FilterSettings
 from agents.gossip.table import GossipTable
 from agents.tracking import claims, gaussian_phd
 from agents.tracking.claims import Claim, make_claim
@@ -96,9 +96,9 @@ class MixturePhd(NamedTuple):
 
     backend: Backend
 
-    def start(self, name: str, step: Step, box: tuple[float, float, float, float] | None = None) -> Belief:
+    def start(self, name: str, config: AgentConfig, box: tuple[float, float, float, float] | None = None) -> Belief:
         """See `Tracker.start`."""
-        known = gaussian_phd.prior(step.config)
+        known = gaussian_phd.prior(config)
         if box is not None:
             x, y = known.means[:, 0], known.means[:, 1]
             known = select(known, (x >= box[0]) & (y >= box[1]) & (x <= box[2]) & (y <= box[3]))

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
-from agents.config import FilterSettings
+from agents.config import AgentConfig, FilterSettings
 from agents.gossip.table import GossipTable
 from agents.tracking.claims import NO_CLAIM, Claim
 from agents.tracking.extraction import TargetEstimates
@@ -116,7 +116,7 @@ class Tracker(Protocol):
     A density is of the tracker's own type, or a table of gossips: then what these state counts, and nothing else.
     """
 
-    def start(self, name: str, step: Step, box: tuple[float, float, float, float] | None = None) -> Belief:
+    def start(self, name: str, config: AgentConfig, box: tuple[float, float, float, float] | None = None) -> Belief:
         """The belief before the first round: the prior, and nothing owned; of the surroundings of a rectangle alone, if one is given.
 
         A rectangle is west, south, east and north, m.

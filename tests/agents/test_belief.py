@@ -185,7 +185,7 @@ def test_of_a_long_sleep_only_the_last_ticks_are_replayed(tracker: ParticlePhd |
     """An agent may join days after the first tick: its prior is one of tick -1."""
     most = 8  # in place of 256, which take seconds
     monkeypatch.setattr("agents.tracking.tracker.MOST_MISSED", most)
-    asleep, day = tracker.start("s1", Step(CLOSED, 0), (40.0, 40.0, 60.0, 60.0)), 400_000
+    asleep, day = tracker.start("s1", CLOSED, (40.0, 40.0, 60.0, 60.0)), 400_000
     fields = [field for field in ("weights", "states", "means") if hasattr(copies_of(asleep), field)]
     short, long, too_long = [
         copies_of(tracker.catch_up(replace(asleep, stamp=stamp), Step(CLOSED, day)))
