@@ -200,27 +200,14 @@ def _update_wedges(
         _draws(config.filter.seed, tuple([region.owner for region in regions_])),
         DIRECTIONS,
     )
-    if len(regions_) == 1:
-        _, _, _, _, mass, moment_x, moment_y, load, detected = results[0].tolist()
-        return [
-            RegionUpdate(
-                Particles(*updated),
-                Particles(*own),
-                Particles(*drawn),
-                mass,
-                moment_x,
-                moment_y,
-                load,
-                detected,
-                _estimates(estimates, names),
-            )
-        ]
-    ends, found = np.cumsum(results[:, : region_kernels.SIZES], axis=0, dtype=np.int64).tolist(), []
-    for before, after, result in zip([[0] * region_kernels.SIZES, *ends], ends, results.tolist()):
-        near, mine, new = [_rows(*part) for part in zip((updated, own, drawn), before, after)]
-        mass, moment_x, moment_y, load, detected = result[region_kernels.SIZES :]
-        rows = slice(before[3], after[3])
-        found.append(RegionUpdate(near, mine, new, mass, moment_x, moment_y, load, detected, _estimates(estimates[rows], names[rows])))
+    found, start = [], [0] * region_kernels.SIZES
+    for result in results.tolist():
+        end = [begin + int(size) for begin, size in zip(start, result)]
+        near, mine, new = [_rows(*part) for part in zip((updated, own, drawn), start, end)]
+        rows = slice(start[3], end[3])
+        targets = TargetEstimates(estimates[rows, :2].copy(), estimates[rows, 2:].copy(), names[rows])
+        found.append(RegionUpdate(near, mine, new, *result[region_kernels.SIZES :], targets))
+        start = end
     return found
 
 
@@ -228,11 +215,6 @@ def _update_wedges(
 def _draws(seed: int, names: tuple[str, ...]) -> np.ndarray:
     """Keys of the resampling of each owner (K,), a pure memo of the last 1024 groups."""
     return np.array([random_key(seed, "resample", name) for name in names], dtype=np.uint64)
-
-
-def _estimates(estimates: np.ndarray, names: np.ndarray) -> TargetEstimates:
-    """Estimates from the columns of agents/compiled/extraction_kernels.py."""
-    return TargetEstimates(estimates[:, :2].copy(), estimates[:, 2:].copy(), names)
 
 
 def _rows(whole: tuple[np.ndarray, ...], start: int, end: int) -> Particles:
