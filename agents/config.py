@@ -78,11 +78,6 @@ class BirthSettings(Section, frozen=True, kw_only=True):
     least_share: NotNegative = 0.25  # and at least this share of the clutter density, but not of more than twice `most_density`
     most_density: Density = 0.001  # the density is at most this, per m^2
 
-    @property
-    def on_border(self) -> int:
-        """How many of the background births lie on the border."""
-        return round(self.border_share * self.background_particles)
-
 
 class CapacitySettings(Section, frozen=True, kw_only=True):
     """[capacity] how the unused sensing capacity U is read (11)."""

@@ -181,7 +181,6 @@ def _update_wedges(
         stated = *density.stated, density.table
     else:
         stated = stated_near(density, regions_[0], step)
-    corners = _end_to_end([region.polygon for region in regions_])
     updated, own, drawn, estimates, names, results = region_kernels.update_regions(
         settings,
         keys,
@@ -194,9 +193,9 @@ def _update_wedges(
         tuple(others),
         tuple(births),
         np.array([(region.row, len(region.polygon), len(region.claim.wins_ties)) for region in regions_]),
-        corners if len(corners) else _NO_CORNERS,
-        _end_to_end([region.claim.generators for region in regions_]),
-        _end_to_end([region.claim.wins_ties for region in regions_]),
+        np.concatenate([region.polygon for region in regions_]),
+        np.concatenate([region.claim.generators for region in regions_]),
+        np.concatenate([region.claim.wins_ties for region in regions_]),
         _draws(config.filter.seed, tuple([region.owner for region in regions_])),
         DIRECTIONS,
     )
@@ -221,11 +220,6 @@ def _rows(whole: tuple[np.ndarray, ...], start: int, end: int) -> Particles:
     """The particles from `start` to `end`."""
     states, weights, ids, labels = whole
     return Particles(states[start:end], weights[start:end], ids[start:end], labels[start:end])
-
-
-def _end_to_end(arrays: list[np.ndarray]) -> np.ndarray:
-    """The arrays, at least one, end to end."""
-    return arrays[0] if len(arrays) == 1 else np.concatenate(arrays)
 
 
 def select_peers(

@@ -127,7 +127,7 @@ def survival_probability(dt: float, settings: FilterSettings) -> float:
 
 def starting_on_border(settings: FilterSettings, birth: BirthSettings) -> int:
     """The number of background births that start on the border."""
-    return 0 if settings.border == "reflect" else birth.on_border
+    return 0 if settings.border == "reflect" else round(birth.border_share * birth.background_particles)
 
 
 def _numbered(salt: int, count: int) -> np.ndarray:
