@@ -216,8 +216,10 @@ def _try_law(scenario: Scenario) -> None:
         velocity, turn_rate = one.command(situation(tick))
         return np.array([*velocity, turn_rate])
 
-    two: tuple[ControlLaw, ControlLaw] = law, control_law(scenario)
-    if not isinstance(load_named(scenario.control.mode), type):  # an object that Python was given: the run shall find it as it is
+    two: tuple[ControlLaw, ControlLaw]
+    if isinstance(load_named(scenario.control.mode), type):
+        two = law, control_law(scenario)
+    else:  # an object that Python was given: the run shall find it as it is
         try:
             two = deepcopy(law), deepcopy(law)
         except Exception:  # it holds a lock, or a file

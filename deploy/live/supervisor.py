@@ -158,9 +158,9 @@ class Supervisor:
             if status.tick_rate.advice and not self._advised:
                 self._advised = True
                 self._tell(status.tick_rate.advice)
-            if start.done() and not self._over.done():
+            if start.done() and self._pending:
                 start.result()
-            if monitor.done() and not self._over.done():
+            if monitor.done() and self._pending:
                 monitor.result()
                 raise RuntimeError("the monitor's session has ended")
         code = self._over.result()
@@ -180,7 +180,7 @@ class Supervisor:
 
     def _end_without_world(self) -> None:
         """End a run whose world is dead, that nobody attends and that nobody has repaired."""
-        if self._attended or not self._goes_on or self._still_since is None or time.monotonic() < self._still_since + WORLD_SECONDS:
+        if self._attended or not self._pending or self._still_since is None or time.monotonic() < self._still_since + WORLD_SECONDS:
             return
         self._tell(f"the world has been dead for {WORLD_SECONDS:.0f} s and nobody has restarted it: the run ends")
         self._end(EXIT_CRASHED)
@@ -241,12 +241,13 @@ class Supervisor:
         self._end(code)
 
     @property
-    def _goes_on(self) -> bool:
-        return self._over is not None and not self._over.done()
+    def _pending(self) -> "asyncio.Future[int] | None":
+        """The exit code to come, while the run goes on; None before and after."""
+        return self._over if self._over is not None and not self._over.done() else None
 
     def _end(self, code: int) -> None:
-        if self._over is not None and not self._over.done():
-            self._over.set_result(code)
+        if self._pending:
+            self._pending.set_result(code)
 
     def _hear(self, zygote: Zygote) -> None:
         """Read the messages of the zygote, until it has ended."""
@@ -283,7 +284,7 @@ class Supervisor:
             self.crashed.append(child.name)
             words += f": {child.last_log_line()}"
         is_over = was_last and any(other.returncode == 0 for other in rest)  # the other bodies have left at the last tick
-        if was_last and not is_over and self._goes_on:
+        if was_last and not is_over and self._pending:
             self._still_since = time.monotonic()
             otherwise = "Ctrl-C ends the run" if self._attended else f"after {WORLD_SECONDS:.0f} s without it the run ends"
             words += f"; the swarm stands still until `covey restart {child.name} --run {self.directory.name}`, {otherwise}"
@@ -297,8 +298,8 @@ class Supervisor:
         return [other for other in bodies if other is not child and other.returncode != EXIT_BAD_INPUT]
 
     def _fail(self, error: Exception) -> None:
-        if self._over is not None and not self._over.done():
-            self._over.set_exception(error)
+        if self._pending:
+            self._pending.set_exception(error)
 
     def _tell(self, text: str) -> None:
         when = f"{self.scorer.truth.time:.1f} s" if self.scorer.truth else "start"
@@ -358,7 +359,7 @@ class Supervisor:
 
     def _act(self, action: Action) -> str:
         """Carry out an action; a line that says what was done."""
-        verb, names, done = action.verb, action.names, []
+        verb, names = action.verb, action.names
         if verb in LINK_VERBS:
             return self._change_links(action)
         for name in names:  # before anything is done, so that all is done or nothing
@@ -375,9 +376,8 @@ class Supervisor:
                 self._restart(child)
             else:
                 child.send({"kill": signal.SIGKILL, "pause": signal.SIGSTOP, "resume": signal.SIGCONT}[verb])
-            done.append(name)
         past = {"kill": "killed", "pause": "paused", "resume": "resumed", "restart": "restarted"}[verb]
-        text = f"{past} {', '.join(done)}" if done else f"nobody to {verb}"
+        text = f"{past} {', '.join(names)}" if names else f"nobody to {verb}"
         log.info(text)
         self._tell(text)
         return text
