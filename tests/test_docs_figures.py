@@ -21,7 +21,7 @@ from cyclopts import CycloptsError, MissingArgumentError
 from deploy.__main__ import app
 from deploy.bench.__main__ import BENCHES
 from deploy.cli.options import RunOptions
-from deploy.scenario import FOLDER
+from deploy.scenario import FOLDER, parse_set
 from deploy.studies.bodies import MODELS
 from deploy.studies.bodies import plan as plan_of_bodies
 from deploy.studies.design import design_fields, design_with, dotted_options
@@ -101,7 +101,7 @@ def complaint(words: tuple[str, ...]) -> str:
 def check_study(given: dict[str, object]) -> None:
     """Raise BadSetting where the study, its teams, its methods or its settings do not exist."""
     options = [given.get(name) for name in ("triple", "capacity", "dt", "seconds")]
-    fixed = dotted_options(*options, given.get("settings") or [])  # type: ignore[arg-type]
+    fixed = {**dotted_options(*options), **dict(map(parse_set, given.get("settings") or []))}  # type: ignore[arg-type]
     chosen = design_fields(*[given.get(name) for name in ("trials", "seed", "teams", "targets", "methods")])  # type: ignore[arg-type]
     if given["name"] == "bodies":
         plan_of_bodies(1, 1, 60.0, chosen.get("methods", tuple(MODELS)), fixed)

@@ -85,15 +85,6 @@ def writing(option: str, path: Path) -> Iterator[None]:
         raise BadSetting(f"{option} {path}: {error.strerror or error}; should be a place that can be written to") from None
 
 
-@contextlib.contextmanager
-def replacing(option: str, path: Path) -> Iterator[Path]:
-    """A file to write to, that becomes `path` once all is written (`whole_file`); raises BadSetting naming the option."""
-    from deploy.storage.whole_file import whole_file  # a command that fails early needs none
-
-    with writing(option, path), whole_file(path) as new:
-        yield new
-
-
 def complain(text: str, code: int) -> int:
     """One line on standard error, where that can be written."""
     with contextlib.suppress(OSError):

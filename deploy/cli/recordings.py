@@ -13,7 +13,7 @@ import msgspec
 from rich.console import Console
 
 from deploy.cli.display import result_table
-from deploy.cli.errors import OK, complain, replacing, writing
+from deploy.cli.errors import OK, complain, writing
 from deploy.cli.terminal import stop_event
 from deploy.installation import need_study_packages
 from deploy.page.address import address_of
@@ -22,6 +22,7 @@ from deploy.recording.replay import SPEEDS, ReplayNode, ReplaySource
 from deploy.recording.rescore import difference, rescore
 from deploy.scoring.scores import write_scores
 from deploy.storage.kept_runs import new_run_directory
+from deploy.storage.whole_file import whole_file
 from protocol.endpoints import free_port
 from protocol.live import Driver
 from protocol.settings import BadSetting, NetworkSettings
@@ -69,13 +70,13 @@ def export(name: str, form: str, out: Path | None, origin: tuple[float, float] |
         from deploy.recording.rerun_file import write_rerun
 
         file = out or recording.path.with_suffix(".rrd")
-        with replacing("--out", file) as new:
+        with writing("--out", file), whole_file(file) as new:
             ticks = write_rerun(recording, new)
         print(f"{ticks} ticks in {file}; look at it with: rerun {file}")
         return 0
     if form == "foxglove":
         file = out or recording.path.with_suffix(DRAWING)
-        with replacing("--out", file) as new:
+        with writing("--out", file), whole_file(file) as new:
             scenes = write_foxglove(recording, new)
         print(f"{scenes} scenes in {file}")
         return 0
@@ -125,7 +126,7 @@ def _export_on_earth(recording: Recording, form: str, out: Path | None, origin: 
     from deploy.recording.geographic import earth_of, write_cot, write_geojson
 
     earth, file = earth_of(recording, origin, began), out or recording.path.with_suffix(f".{form}")
-    with replacing("--out", file) as new:
+    with writing("--out", file), whole_file(file) as new:
         number = write_geojson(recording, earth, new) if form == "geojson" else write_cot(recording, earth, new)
     print(f"{number} {'features' if form == 'geojson' else 'events'} in {file}")
     return 0

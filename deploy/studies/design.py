@@ -5,7 +5,7 @@ from typing import Any
 
 import msgspec
 
-from deploy.scenario import TeamSettings, parse_set, team_counts
+from deploy.scenario import TeamSettings, team_counts
 from deploy.studies.trials import ABLATIONS, METHODS, Trial, check_free, check_method
 from protocol.settings import BadOption, BadSetting
 
@@ -119,12 +119,10 @@ def _parts(text: str | None) -> tuple[str, ...] | None:
     return None if text is None else tuple(dict.fromkeys(part.strip() for part in text.split(",")))
 
 
-def dotted_options(
-    triple: str | None, capacity: str | None, dt: float | None, seconds: float | None, settings: list[str]
-) -> dict[str, Any]:
-    """The dotted settings that the command line names."""
+def dotted_options(triple: str | None, capacity: str | None, dt: float | None, seconds: float | None) -> dict[str, Any]:
+    """The dotted settings that have an option of their own."""
     named = {"team.triple": triple, "capacity.mode": capacity, "run.dt": dt, "run.seconds": seconds}
-    return {**{dotted: value for dotted, value in named.items() if value is not None}, **dict(map(parse_set, settings))}
+    return {dotted: value for dotted, value in named.items() if value is not None}
 
 
 def design_with(name: str, quick: bool, fields: dict[str, Any], options: dict[str, Any]) -> Design:

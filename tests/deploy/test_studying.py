@@ -128,10 +128,10 @@ def test_a_cluster_gives_the_same_table(run: Callable[..., dict[str, Any]], tmp_
 
 def test_options_become_fields_and_settings() -> None:
     given = design_fields(3, 200, "2,20E+4H", "30, 40", "power,voronoi,power")
-    found = design_with("efficacy", False, given, dotted_options("BCD", None, 0.5, None, ["detection.clutter=0.2"]))
+    found = design_with("efficacy", False, given, dotted_options("BCD", None, 0.5, None))
     assert (found.trials, found.first_seed, found.teams, found.targets) == (3, 200, ("2", "20E+4H"), (30, 40))
     assert found.methods == ("power", "voronoi")
-    assert found.options == {"team.triple": "BCD", "run.dt": 0.5, "detection.clutter": 0.2}
+    assert found.options == {"team.triple": "BCD", "run.dt": 0.5}
 
 
 @pytest.mark.parametrize(

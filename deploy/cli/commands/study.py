@@ -81,11 +81,13 @@ def study(
 
     need_study_packages("study")
     from deploy.cli.study import default_folder, run_study
+    from deploy.scenario import parse_set
     from deploy.studies.design import check_workers, design_fields, design_with, dotted_options
     from protocol.settings import BadSetting
 
     check_workers(workers)
-    options, folder = dotted_options(triple, capacity, dt, seconds, settings or []), into or default_folder(name, quick)
+    options = {**dotted_options(triple, capacity, dt, seconds), **dict(map(parse_set, settings or []))}
+    folder = into or default_folder(name, quick)
     if name == "robustness":
         from deploy.cli.robustness import run_robustness_study, settings_of
 

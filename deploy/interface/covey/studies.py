@@ -100,7 +100,7 @@ def study(
     check_workers(workers)
     joined = [None if values is None else _joined(values) for values in (teams, targets, methods)]
     given = design_fields(trials, seed, *joined)
-    options = {**dotted_options(triple, capacity, dt, seconds, []), **(settings or {})}
+    options = {**dotted_options(triple, capacity, dt, seconds), **(settings or {})}
     found = design_with(name, quick, given, options)
     planned, folder = plan(found), StudyFolder(Path(into) if into is not None else default_folder(name, quick))
     with folder.claimed():
