@@ -96,7 +96,7 @@ class Agent(Node):
                 return self.membership.alive(event, now)
             case Gone():
                 tick = self.tick if event.role == "body" else self._newest_tick
-                if self.membership.gone(event, tick, doubted=self._health.is_doubtful(now)):
+                if self.membership.gone(event, tick, suspected=self._health.has_just_stalled(now)):
                     self._awaited.discard(event.name)
                     return self._close_if_complete(now)
             case Started():
@@ -191,7 +191,7 @@ class Agent(Node):
                 self.outcome = update_without_gossips(self.context, self.outcome, own, ticks)
                 effects += [*self._estimate(self.outcome, own), *(self._steer(self.outcome, observation) if steers else [])]
             else:
-                moved = forecast(self.outcome.estimates, (own.tick - self.outcome.belief.stamp) * self.config.run.dt)
+                moved = forecast(self.outcome.estimates, (own.tick - self.outcome.belief.tick) * self.config.run.dt)
                 effects += self._estimate(replace(self.outcome, estimates=moved), own)
         return effects
 
@@ -214,7 +214,7 @@ class Agent(Node):
 
     def _ticks_to_last(self, tick: int) -> int:
         """About how long a command of a tick will last: as long as nothing was played before it, at most the pace. 0: it has been given."""
-        return min(self._pace.current, tick - self.outcome.belief.stamp) if tick > self._own_pose.steered else 0
+        return min(self._pace.current, tick - self.outcome.belief.tick) if tick > self._own_pose.steered else 0
 
     def _steer(self, outcome: RoundResult, observation: Observation) -> list[Effect]:
         """The command of a result, such that it keeps the body away from those of the peers and from what it senses.
@@ -237,7 +237,7 @@ class Agent(Node):
         self._measure_busy_time(now)
         self._keep_claim(observation)
         listening, need, lag = bool(self._listening), self._pace.need, self._rounds.lag.need
-        behind = self._rounds.behind(self.tick, self.outcome.belief.stamp)
+        behind = self._rounds.behind(self.tick, self.outcome.belief.tick)
         own = self._gossip = message_builders.gossip(
             self.context,
             self.incarnation,
@@ -365,7 +365,7 @@ class Agent(Node):
 
     def _update_interest(self, interest: InterestManager, gossip: Gossip, now: float) -> list[Effect]:
         """Check for half-open links, publish a beacon and select peers anew where they are due; the effects of that."""
-        reopenings = interest.reopen_if_unheard(self.outcome.belief.stamp, now)
+        reopenings = interest.reopen_if_unheard(self.outcome.belief.tick, now)
         if reopenings:
             self.counters["reopened"] += 1
         effects = [*interest.close_round(gossip, self.outcome, self._own_pose.command), *reopenings]
@@ -413,7 +413,7 @@ class Agent(Node):
         """End the open tick; the effects are its command and, where due, its estimate and the changes of interest."""
         observation, gossip = self._observation, self._gossip
         assert observation is not None and gossip is not None
-        if self.outcome.belief.stamp < self.tick:
+        if self.outcome.belief.tick < self.tick:
             self.outcome = look_ahead(self._rounds.recent, self.context, self.outcome, gossip, self._ticks_to_last(self.tick))
             self.counters["looked_ahead"] += 1
         self._keep_pace(now)

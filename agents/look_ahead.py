@@ -70,8 +70,8 @@ class GossipHistory:
     def keep(self, belief: Belief) -> None:
         """Keep the belief after a round. Drop the gossips that no round will need, and those of a tick so far ahead that it is wrong."""
         self._beliefs.append(belief)
-        oldest = belief.stamp - self._most  # the next replay begins with the belief of this tick
-        newest = belief.stamp + self.ticks_ahead
+        oldest = belief.tick - self._most  # the next replay begins with the belief of this tick
+        newest = belief.tick + self.ticks_ahead
         self._said = {tick: heard for tick, heard in self._said.items() if oldest <= tick <= newest}
 
     def has_later(self, name: str, tick: int) -> bool:
@@ -97,11 +97,11 @@ class GossipHistory:
         found = self._said.get(tick, {}).get(self._context.name)
         return found[0] if found else without_scan(nearest, tick)
 
-    def at_or_before(self, stamp: int, newest: Belief) -> Belief:
-        """The newest belief that is not later than the tick `stamp`, `newest` included; the oldest that is kept if all are later."""
-        if newest.stamp <= stamp:
+    def at_or_before(self, tick: int, newest: Belief) -> Belief:
+        """The newest belief that is not later than a tick, `newest` included; the oldest that is kept if all are later."""
+        if newest.tick <= tick:
             return newest
-        earlier = [belief for belief in self._beliefs if belief.stamp <= stamp]
+        earlier = [belief for belief in self._beliefs if belief.tick <= tick]
         return earlier[-1] if earlier else self._beliefs[0] if self._beliefs else newest
 
     def blurred_config(self, ticks: int) -> AgentConfig:
@@ -128,16 +128,16 @@ def replayed_density(
     """
     tick, config, tracker = table.gossips[0].tick, context.config, context.tracker
     oldest = tick - 1 - most
-    stamps = [gossip.claim_tick for gossip in table.gossips if gossip.behind and gossip.claim_names and gossip.claim_tick >= oldest]
-    belief = recent.at_or_before(min(stamps, default=opened.belief.stamp), opened.belief)
-    if belief.stamp < oldest:
+    ticks = [gossip.claim_tick for gossip in table.gossips if gossip.behind and gossip.claim_names and gossip.claim_tick >= oldest]
+    belief = recent.at_or_before(min(ticks, default=opened.belief.tick), opened.belief)
+    if belief.tick < oldest:
         belief = tracker.catch_up(belief, Step(config, oldest + 1))  # the step that follows the belief of `oldest`
-    density = tracker.merge(belief, table, Step(config, belief.stamp + 1))
-    for stamp in range(belief.stamp + 1, tick):
-        own = recent.own_gossip(stamp, opened.gossip)
-        margin = _influence(Step(config, tick)) * (tick - stamp)
+    density = tracker.merge(belief, table, Step(config, belief.tick + 1))
+    for past in range(belief.tick + 1, tick):
+        own = recent.own_gossip(past, opened.gossip)
+        margin = _influence(Step(config, tick)) * (tick - past)
         belief = advance(context, density, recent.table(own), rectangle_around(polygon, opened.gossip, context.sensor.reach, margin))
-        density = tracker.merge(belief, table, Step(config, stamp + 1))
+        density = tracker.merge(belief, table, Step(config, past + 1))
     return density
 
 
@@ -175,12 +175,12 @@ def look_ahead(recent: GossipHistory, context: AgentContext, last: RoundResult, 
     if round_cell is None:  # no round has been played yet
         return last
     region, belief = round_cell.region, tracker.catch_up(last.belief, Step(config, own.tick - recent.ticks_ahead))
-    for tick in range(belief.stamp + 1, own.tick):
+    for tick in range(belief.tick + 1, own.tick):
         table = recent.table(recent.own_gossip(tick, own))
         density = tracker.merge(belief, table, Step(config, tick))
         margin = _influence(Step(config, tick)) * (own.tick - tick)
         belief = advance(context, density, table, rectangle_around(region.polygon, own, context.sensor.reach, margin))
-    table, step = recent.table(own), Step(recent.blurred_config(own.tick - last.belief.stamp), own.tick)
+    table, step = recent.table(own), Step(recent.blurred_config(own.tick - last.belief.tick), own.tick)
     density = tracker.merge(belief, table, step)
     now = region._replace(row=table.names.index(context.name), pose=own.pose)
     update = tracker.update(density, table, [now], step)[0]

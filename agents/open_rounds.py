@@ -31,13 +31,13 @@ class OpenRounds:
     def __bool__(self) -> bool:
         return bool(self._rounds)
 
-    def behind(self, tick: int, stamp: int) -> int:
-        """The number of ticks before `tick` whose rounds are still to be played, if that of `stamp` was played before them.
+    def behind(self, tick: int, last: int) -> int:
+        """The number of ticks before `tick` whose rounds are still to be played, if that of `last` was played before them.
 
-        0 where that of `stamp` is not the one before the oldest open round, and where it is too old for a replay.
+        0 where that of `last` is not the one before the oldest open round, and where it is too old for a replay.
         """
-        follows = bool(self._rounds) and stamp == self._rounds[0].gossip.tick - 1
-        return tick - 1 - stamp if follows and tick - 1 - stamp <= self.lag.most else 0
+        follows = bool(self._rounds) and last == self._rounds[0].gossip.tick - 1
+        return tick - 1 - last if follows and tick - 1 - last <= self.lag.most else 0
 
     def open(self, gossip: Gossip, belief: Belief, now: float) -> None:
         """Open the round of the own `gossip`."""

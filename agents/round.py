@@ -21,7 +21,7 @@ from agents.coverage.laws import control_law
 from agents.coverage.search_and_track import SearchAndTrack
 from agents.gossip.table import REACH, AnnouncedSensor, GossipTable, announced_sensor, gossip_table
 from agents.interest.position_table import UnsubscribedGenerators
-from agents.membership.peer_table import COMPLETE_NEIGHBOURHOOD, PeerTable
+from agents.membership.peer_table import COMPLETE_SET_HASH, PeerTable
 from agents.tracking.belief import ParticlePhd
 from agents.tracking.claims import NO_CLAIM, Claim, make_claim
 from agents.tracking.extraction import NO_ESTIMATES, TargetEstimates
@@ -219,12 +219,12 @@ def _generator_table(
 def _diagram_hash(peer_table: PeerTable, fresh: dict[str, Gossip], generator_table: GossipTable, claim: Claim) -> int:
     """The hash of the diagram of a round: agents with equal hashes cut the same diagram.
 
-    In a swarm that hears everybody it is a hash of all generators. With neighbours only, `COMPLETE_NEIGHBOURHOOD` states that all gossips
+    In a swarm that hears everybody it is a hash of all generators. With neighbours only, `COMPLETE_SET_HASH` states that all gossips
     of the interest set came in time. Two agents with complete interest sets in the same tick agree about every generator that both know. An
     agent with an empty cell need not be certified: unknown peers could only shrink its cell.
     """
     if peer_table.neighbours_only and (peer_table.certified or not claim.names) and len(fresh) == len(peer_table.interest_set):
-        return COMPLETE_NEIGHBOURHOOD if peer_table.interest_set.keys() >= set(claim.names[1:]) else generator_table.diagram_hash
+        return COMPLETE_SET_HASH if peer_table.interest_set.keys() >= set(claim.names[1:]) else generator_table.diagram_hash
     return generator_table.diagram_hash
 
 

@@ -39,7 +39,7 @@ def unsent_gossip(
 def is_claim_valid(config: AgentConfig, belief: Belief, tick: int, pace: int) -> bool:
     """Whether the claim of a belief still counts at a later tick: for as long as peers of this pace keep a silent agent's generator."""
     most = max(config.ticks_of_silence, config.timing.silent_rounds * pace)
-    return 0 <= belief.claim_tick <= belief.stamp < tick <= belief.claim_tick + most
+    return 0 <= belief.claim_tick <= belief.tick < tick <= belief.claim_tick + most
 
 
 def predict_missed_ticks(context: AgentContext, last: RoundResult, own: Gossip, pace: int) -> RoundResult:
@@ -58,10 +58,10 @@ def update_without_gossips(context: AgentContext, last: RoundResult, own: Gossip
 
     `ticks`: how long the command is to last; 0: there is none.
     """
-    tracker, round_cell, stamp = context.tracker, last.round_cell, last.belief.stamp
+    tracker, round_cell = context.tracker, last.round_cell
     assert round_cell is not None
     density, region = last.density, round_cell.region._replace(row=0, pose=own.pose)
-    for tick in range(stamp + 1, own.tick + 1):
+    for tick in range(last.belief.tick + 1, own.tick + 1):
         said = own if tick == own.tick else without_scan(own, tick)
         table, step = gossip_table([said], [context.announced], context.config), Step(context.config, tick)
         before, update = density, tracker.update(density, table, [region], step)[0]

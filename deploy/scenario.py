@@ -252,7 +252,7 @@ def with_deaths(scenario: Scenario) -> Scenario:
     return msgspec.structs.replace(scenario, faults=(deaths,))
 
 
-def own_classes(scenario: Scenario) -> list[str]:
+def user_classes(scenario: Scenario) -> list[str]:
     """The user's own classes that a scenario names, each as `module:Class`."""
     named = (
         *(sensor.model for sensor in scenario.sensors.values()),

@@ -26,7 +26,7 @@ from protocol.observer_messages import Truth
 from protocol.settings import BadSetting
 from protocol.virtual import Link, VirtualBus
 from world.body import Body
-from world.platform import check_simulated
+from world.platform import refuse_robots
 from world.targets import Targets
 from world.world import World
 
@@ -81,7 +81,7 @@ class Simulation:
     ) -> None:
         check_faults(scenario.faults, list(scenario.members), world_names(scenario))
         if bodies_of(scenario):
-            check_simulated(scenario.bodies)
+            refuse_robots(scenario.bodies)
         for number, fault in enumerate(scenario.faults):
             for name in unsimulated(scenario).intersection(map(str.strip, fault.who.split(","))):
                 raise BadSetting(f"faults[{number}].who = {name!r}: a simulation has no such process to strike; `covey up` has")

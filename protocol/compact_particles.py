@@ -36,8 +36,8 @@ def packed(states: np.ndarray, speed: float) -> bytes:
     return np.array([*(low * step), step, speed], dtype="<f4").tobytes() + numbers.astype("<u2").tobytes()
 
 
-def unpacked(data: bytes, sender: str, stamp: int) -> tuple[np.ndarray, np.ndarray]:
-    """States (N, 4) float32 and ids (N,) uint64, ascending, of the particles that a sender owns at the tick `stamp`. Raises Malformed."""
+def unpacked(data: bytes, sender: str, tick: int) -> tuple[np.ndarray, np.ndarray]:
+    """States (N, 4) float32 and ids (N,) uint64, ascending, of the particles that a sender owns at the tick `tick`. Raises Malformed."""
     count, rest = divmod(len(data) - HEAD_BYTES, ROW_BYTES)
     if count < 1 or rest:
         raise Malformed("shape", f"particles: {len(data)} bytes are not {HEAD_BYTES} and a whole number of {ROW_BYTES}")
@@ -48,11 +48,11 @@ def unpacked(data: bytes, sender: str, stamp: int) -> tuple[np.ndarray, np.ndarr
     with np.errstate(all="ignore"):  # wrong bits give numbers that the check of the message refuses
         velocities = DIRECTIONS[turns % 4096] * speed
         states = np.column_stack([west + columns * step, south + rows * step, velocities]).astype("<f4")
-    return states, np.sort(scramble(np.arange(count, dtype=np.uint64), random_key("compact", sender, stamp)))
+    return states, np.sort(scramble(np.arange(count, dtype=np.uint64), random_key("compact", sender, tick)))
 
 
-def quantised(states: np.ndarray, speed: float, sender: str, stamp: int) -> tuple[np.ndarray, np.ndarray]:
+def quantised(states: np.ndarray, speed: float, sender: str, tick: int) -> tuple[np.ndarray, np.ndarray]:
     """The states (N, 4) and ids (N,) that receivers of `packed` compute."""
     if not len(states):
         return states, np.empty(0, dtype=np.uint64)
-    return unpacked(packed(states, speed), sender, stamp)
+    return unpacked(packed(states, speed), sender, tick)

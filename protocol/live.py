@@ -330,10 +330,10 @@ class Driver:
         self._handle_all(self._tokens.take_lost())
 
     async def _leave(self) -> None:
-        """Close the session: its tokens must be seen again by the next one. All that it has brought is taken before they are doubted."""
+        """Close the session: its tokens must be seen again by the next one. All that it has brought is taken before they are suspected."""
         await self._close(self._take_declared())
         self._drain_all()
-        self._tokens.doubt()
+        self._tokens.suspect_all()
 
     def _take_declared(self) -> list[Any]:
         """What the session has declared; the next one begins without any."""

@@ -29,14 +29,14 @@ class Tokens:
         self._up: dict[str, dict[Token, None]] = {}  # by name, shown or waiting; of each name the earliest first
         self._silent: dict[str, None] = {}  # shown names that have said nothing since their token came, the earliest first
         self._waiting: dict[str, None] = {}  # the earliest first
-        self._doubtful: set[Token] = set()  # seen by an earlier session, not yet by this one
+        self._suspected: set[Token] = set()  # seen by an earlier session, not yet by this one
 
     def see(self, key: str, up: bool) -> list[Alive | Gone]:
         """The events for a token that has appeared or vanished; empty: no news."""
         token = parse_token(key)
         if token is None or token == self._own or token.role not in ROLES or not any(matches(each, key) for each in self._followed):
             return []
-        self._doubtful.discard(token)
+        self._suspected.discard(token)
         if (token in self._up.get(token.name, ())) == up:
             return []
         return self._add(token) if up else self._remove(token)
@@ -61,7 +61,7 @@ class Tokens:
         """Remove a token that is up; the event, if it was shown."""
         name, tokens = token.name, self._up[token.name]
         shown = name not in self._waiting
-        self._doubtful.discard(token)
+        self._suspected.discard(token)
         del tokens[token]
         if not tokens:
             del self._up[name]
@@ -99,13 +99,13 @@ class Tokens:
         self._followed.discard(expression)
         self._remove_all(token for token in self._all() if matches(expression, token_key(*token)))
 
-    def doubt(self) -> None:
+    def suspect_all(self) -> None:
         """Note that the session was closed: its tokens must be seen again by the next session."""
-        self._doubtful = set(self._all())
+        self._suspected = set(self._all())
 
     def take_lost(self) -> list[Alive | Gone]:
         """The events for the tokens that the new session has not seen again."""
-        return self._remove_all(self._doubtful)
+        return self._remove_all(self._suspected)
 
     def _all(self) -> Iterable[Token]:
         return (token for tokens in self._up.values() for token in tokens)

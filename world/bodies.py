@@ -98,7 +98,7 @@ def check_given(config: WorldConfig) -> None:
             )
 
 
-def pose_remarks(config: WorldConfig) -> list[str]:
+def pose_warnings(config: WorldConfig) -> list[str]:
     """A line for each given pose that is not read, or lies outside of the arena."""
     if config.bodies.start != "given":
         return ["bodies.poses is not read: bodies.start should be 'given'"] if config.bodies.poses else []

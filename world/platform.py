@@ -175,7 +175,7 @@ def platform_class(settings: BodySettings) -> Callable[..., Any]:
         raise BadSetting(f"bodies.platform = {settings.platform!r}: {error}; should be simulated or module:Class") from error.__cause__
 
 
-def check_simulated(settings: BodySettings) -> None:
+def refuse_robots(settings: BodySettings) -> None:
     """Raise BadSetting for a platform that does not say that it is itself a simulation: a simulated run would drive robots, unpaced."""
     if settings.platform != SIMULATED and getattr(platform_class(settings), SIMULATED, False) is not True:
         where = f"bodies.platform = {settings.platform!r}"

@@ -68,8 +68,8 @@ class RoundInbox:
 
     def newest(self, name: str, tick: int) -> Gossip | None:
         """The newest gossip of a peer that is not later than `tick`; None: there is none."""
-        stamps = [stamp for stamp, gossips in self.rounds.items() if stamp <= tick and name in gossips]
-        return self.rounds[max(stamps)][name] if stamps else self.newest_closed.get(name)
+        ticks = [old for old, gossips in self.rounds.items() if old <= tick and name in gossips]
+        return self.rounds[max(ticks)][name] if ticks else self.newest_closed.get(name)
 
     def forget(self, name: str) -> None:
         """Drop all gossips of a peer."""
@@ -86,7 +86,7 @@ class RoundInbox:
     def close(self, tick: int, peers: Set[str]) -> list[dict[str, Gossip]]:
         """Close the rounds up to `tick`, and return the gossips of each by name. `peers`: the names of the peers."""
         self._closed = tick
-        closed = [self.rounds.pop(stamp) for stamp in sorted([stamp for stamp in self.rounds if stamp <= tick])]
+        closed = [self.rounds.pop(old) for old in sorted([old for old in self.rounds if old <= tick])]
         for gossips in closed:
             self.newest_closed = gossips if gossips.keys() == peers else {**self.newest_closed, **gossips}
         return closed

@@ -50,7 +50,7 @@ def gossip(
     `behind`: so many rounds before this tick are still to be played, and the last round is that before them. `pose_noise`: of the pose.
     """
     owned = outcome.belief.mine
-    current = outcome.belief.stamp == observation.tick - 1 - behind
+    current = outcome.belief.tick == observation.tick - 1 - behind
     said = context.tracker.gossip_fields(owned, context.config.filter) if current else {}
     plan: dict[str, Any] = {}
     if outcome.intent is not None:  # of a sensor that can hold hardly anything, the utilisation has no limit

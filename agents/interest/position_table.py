@@ -89,7 +89,7 @@ class PositionTable:
                 or peer.beacon is None
                 or peer.announced is None
                 or peer.refused_until is not None
-                or peer.doubted
+                or peer.suspected
                 or peer.missed >= limit
                 or peer.incarnation != beacon.incarnation
                 or beacon.tick < peer.beacon.tick

@@ -18,8 +18,8 @@ class BodyTokens:
         if agent is not None:
             self._peers.alive(name, agent)
 
-    def leave(self, name: str, incarnation: int, tick: int, *, doubted: bool) -> bool:
-        """A body has gone: its agent counts as gone from the round `tick` on; whether it does now. `doubted`: as in `PeerTable.gone`."""
+    def leave(self, name: str, incarnation: int, tick: int, *, suspected: bool) -> bool:
+        """A body has gone: its agent counts as gone from the round `tick` on; whether it does now. `suspected`: as in `PeerTable.gone`."""
         if incarnation < self._newest.get(name, 0):
             return False
         self._newest.pop(name, None)
@@ -27,7 +27,7 @@ class BodyTokens:
         if peer is None or not peer.token:
             return False
         self._bodiless[name] = peer.incarnation
-        return self._peers.gone(name, peer.incarnation, tick, doubted=doubted)
+        return self._peers.gone(name, peer.incarnation, tick, suspected=suspected)
 
     def agent_left(self, name: str, incarnation: int) -> None:
         """An agent itself has gone: it does not come back with its body."""

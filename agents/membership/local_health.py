@@ -7,7 +7,7 @@ nothing about them. The agent plans a beat every `BEAT_PERIOD` s. A beat that co
 
 BEAT_PERIOD = 0.25  # s between two beats
 STALL_THRESHOLD = 0.25  # s: a beat that is later than this is a stall
-DOUBT_SECONDS = 3.0  # s after a stall in which a lost token is only a suspicion: sessions that ended meanwhile are noticed by then
+SUSPICION_SECONDS = 3.0  # s after a stall in which a lost token is only a suspicion: sessions that ended meanwhile are noticed by then
 
 
 class LocalHealth:
@@ -43,9 +43,9 @@ class LocalHealth:
         self._stall_ended = now
         return True
 
-    def is_doubtful(self, now: float) -> bool:
+    def has_just_stalled(self, now: float) -> bool:
         """Whether the agent was stalled a short time ago."""
-        return self._stall_ended is not None and abs(now - self._stall_ended) <= DOUBT_SECONDS
+        return self._stall_ended is not None and abs(now - self._stall_ended) <= SUSPICION_SECONDS
 
     def has_stalled_since(self, since: float) -> bool:
         """Whether a stall has ended since a time."""

@@ -51,22 +51,22 @@ class Membership:
     def _warn_of_older(self, name: str, incarnation: int) -> list[Effect]:
         """A warning, the first time that a peer is refused for good: its former process, which has gone, had a larger incarnation."""
         peer = self._peer_table.peers.get(name)
-        is_refused = peer is not None and incarnation < peer.incarnation and not (peer.token or peer.doubted)
+        is_refused = peer is not None and incarnation < peer.incarnation and not (peer.token or peer.suspected)
         if peer is None or not is_refused or (name, incarnation) in self._warned or len(self._warned) >= MOST_WARNINGS:
             return []
         self._warned.add((name, incarnation))
         text = f"{name} is refused: its incarnation {incarnation} is smaller than {peer.incarnation}, that of its former process"
         return [Warn(f"{text}. Set the clock of its machine, or start it with --incarnation {peer.incarnation + 1}")]
 
-    def gone(self, event: Gone, tick: int, *, doubted: bool) -> bool:
-        """A token has vanished in the round `tick`; whether its agent counts as gone now. `doubted`: this agent was late itself."""
+    def gone(self, event: Gone, tick: int, *, suspected: bool) -> bool:
+        """A token has vanished in the round `tick`; whether its agent counts as gone now. `suspected`: this agent was late itself."""
         if event.role == "body":
-            return self._bodies.leave(event.name, event.incarnation, tick, doubted=doubted)
+            return self._bodies.leave(event.name, event.incarnation, tick, suspected=suspected)
         if event.role != "agent":
             return False
         self._bodies.agent_left(event.name, event.incarnation)
         self.session_watchdog.token_vanished(event.name, event.incarnation)
-        return self._peer_table.gone(event.name, event.incarnation, tick, doubted=doubted)
+        return self._peer_table.gone(event.name, event.incarnation, tick, suspected=suspected)
 
     def take_hellos(self, batch: Batch, now: float) -> list[Effect]:
         """Take Hellos that arrived together: all senders are heard before one Hello is judged. Those without anything new are noted."""

@@ -22,7 +22,7 @@ class Peer:
     announced: AnnouncedSensor | None = None
     refused_until: int | None = None  # its token has vanished: a gossip of a later tick revives the peer; None: it is there
     missed: int = 0  # rounds without a gossip in a row
-    doubted: bool = False  # its token vanished while this agent was late itself
+    suspected: bool = False  # its token vanished while this agent was late itself
     beacon: Beacon | None = None  # the newest one
     rank: tuple[int, str] = (0, "")  # sorts peers in the order of names
     differs: tuple[str, ...] = ()  # the peer is refused: these settings differ from the own ones
@@ -31,11 +31,11 @@ class Peer:
         self.rank = order(self.name)
 
     def note_life(self, tick: int, least_silence: int, *, is_wrong: bool) -> bool:
-        """A message of `tick` has come, which lifts a doubt. Whether the peer is back: it was gone, or silent for `least_silence` rounds.
+        """Note a message of `tick`, which lifts a suspicion; whether the peer is back: it was gone, or silent for `least_silence` rounds.
 
         A tick that `is_wrong`, as it lies far ahead, ends no silence and brings nobody back.
         """
-        self.doubted, was_gone = False, self.refused_until is not None and tick > self.refused_until
+        self.suspected, was_gone = False, self.refused_until is not None and tick > self.refused_until
         if is_wrong or not (was_gone or self.missed >= least_silence):
             return False
         self.refused_until, self.missed = None if was_gone else self.refused_until, 0

@@ -6,8 +6,8 @@ before. A peer that falls silent with its token up stays a generator for the rou
 generator of it is known. Its own gossips state these, and so do the claims of its neighbours, with their ages. Only rounds in which this
 agent was served in time count.
 
-A token that vanishes while this agent is late is doubted. It counts at the end of the next round in which at least twice as many peers
-are heard as are doubted. A doubt about most peers is one about this agent: those peers are treated as silent ones.
+A peer whose token vanishes while this agent is late is suspected. It counts as gone at the end of the next round in which at least twice
+as many peers are heard as are suspected. A suspicion about most peers is one about this agent: those are treated as silent ones.
 
 With interest "all" every peer is in the interest set. With "neighbours" beacons make peers known, and the agent subscribes to the gossips
 of those that it selects.
@@ -31,7 +31,7 @@ from protocol.fields import MAX_NAMES
 from protocol.messages import Beacon, Gossip, Hello
 from protocol.node import Batch
 
-COMPLETE_NEIGHBOURHOOD = 1  # in place of a hash: agents that hear neighbours and have complete interest sets cut parts of one diagram
+COMPLETE_SET_HASH = 1  # in place of a hash: agents that hear neighbours and have complete interest sets cut parts of one diagram
 ACCEPTED = ""
 OWN, UNASKED = "own", "unasked"  # reasons without a fault of the sender
 UNKNOWN_SENSOR = "unknown_sensor"
@@ -71,35 +71,35 @@ class PeerTable:
         if peer:
             self.selection_outdated |= peer.refused_until is not None
             self._strangers.pop(name, None)
-            peer.token, peer.refused_until, peer.doubted = True, None, False
+            peer.token, peer.refused_until, peer.suspected = True, None, False
             if peer.beacon is not None:
                 self.positions.note(peer, peer.beacon)
 
-    def gone(self, name: str, incarnation: int, tick: int, *, doubted: bool = False) -> bool:
+    def gone(self, name: str, incarnation: int, tick: int, *, suspected: bool = False) -> bool:
         """A token vanished in the round `tick`; whether the peer counts as gone now.
 
-        `doubted`: this agent was late, and may itself be the reason.
+        `suspected`: this agent was late, and may itself be the reason.
         """
         peer = self.peers.get(name)
         if peer is None or peer.incarnation != incarnation:
             return False
-        peer.token, peer.doubted, self._all_acceptable = False, doubted, False
-        if not doubted:
+        peer.token, peer.suspected, self._all_acceptable = False, suspected, False
+        if not suspected:
             self._mark_left(peer, tick)
         self._limit_strangers(name)
-        return not doubted
+        return not suspected
 
     def _mark_left(self, peer: Peer, tick: int) -> None:
         """A peer has left in the round `tick`. It may have been a tick ahead, and gossips of it may still be on their way."""
-        peer.refused_until, peer.doubted = tick + 1, False
+        peer.refused_until, peer.suspected = tick + 1, False
         self.positions.remove(peer.name)
         self.selection_outdated = True
 
-    def _settle_doubts(self, tick: int, heard: int) -> None:
-        """Count the doubted tokens as lost, unless they are too many beside the number of peers `heard` in this round."""
-        doubted = [peer for peer in self.peers.values() if peer.doubted]
-        if 2 * len(doubted) <= heard:
-            for peer in doubted:
+    def _settle_suspicions(self, tick: int, heard: int) -> None:
+        """Count the suspected peers as gone, unless they are too many beside the number of peers `heard` in this round."""
+        suspected = [peer for peer in self.peers.values() if peer.suspected]
+        if 2 * len(suspected) <= heard:
+            for peer in suspected:
                 self._mark_left(peer, tick)
 
     def take_hello(self, hello: Hello) -> str | None:
@@ -224,7 +224,7 @@ class PeerTable:
                 if peer.refused_until is None and peer.missed < self._silence_limit and name not in gossips
             }
         limit = self._silence_limit
-        others = [peer for name, peer in self.interest_set.items() if name not in gossips and (peer.token or peer.doubted)]
+        others = [peer for name, peer in self.interest_set.items() if name not in gossips and (peer.token or peer.suspected)]
         return {peer.name for peer in others if (peer.missed < limit if self.inbox.knows(peer.name) else newcomer or tick == 0)}
 
     def generator_gossips(self, tick: int, fresh: dict[str, Gossip]) -> dict[str, Gossip]:
@@ -251,9 +251,9 @@ class PeerTable:
         found |= {name: known for name, known in self._last_known.items() if name in found and known.tick > found[name].tick}
         newest = [fresh.get(name) or self.inbox.newest(name, tick) for name in self.interest_set] if found else []
         for claim in [gossip for gossip in newest if gossip is not None and not found.keys().isdisjoint(gossip.claim_names)]:
-            for row, (name, stamp) in enumerate(zip(claim.claim_names, claim.claim_ticks)):
-                if name in found and stamp > found[name].tick:
-                    moved = with_newer_generator(found[name], stamp, claim.claim[row].tolist(), self._config.partition.kind)
+            for row, (name, stated) in enumerate(zip(claim.claim_names, claim.claim_ticks)):
+                if name in found and stated > found[name].tick:
+                    moved = with_newer_generator(found[name], stated, claim.claim[row].tolist(), self._config.partition.kind)
                     announced = self.interest_set[name].announced
                     if announced is not None and plausible(moved, announced, self._config.arena):
                         found[name] = moved
@@ -273,7 +273,7 @@ class PeerTable:
             self._forget_silent(tick)
         complete = self.interest_set.keys() <= self.inbox.of(tick).keys()  # a gossip of who has left the set may be there as well
         if not self._all_acceptable:
-            self._settle_doubts(tick, len(self.inbox.of(tick)))
+            self._settle_suspicions(tick, len(self.inbox.of(tick)))
         self._all_acceptable = complete and (self._all_acceptable or all_acceptable(self.interest_set.values(), self.neighbours_only))
         for gossips in self.inbox.close(tick, self.interest_set.keys()):
             if self.neighbours_only:
@@ -429,7 +429,7 @@ class PeerTable:
         """
         peer = self.peers.get(name)
         younger = peer is not None and incarnation > peer.incarnation and (token or not peer.token)
-        had_token = peer is not None and (peer.token or peer.doubted or peer.refused_until is not None)
+        had_token = peer is not None and (peer.token or peer.suspected or peer.refused_until is not None)
         guessed = peer is not None and token and incarnation != peer.incarnation and not had_token
         if peer is None or younger or guessed:
             is_new, peer = peer is None, Peer(name, incarnation)

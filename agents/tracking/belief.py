@@ -74,7 +74,7 @@ class Copies:
     skipped_steps: tuple[Step, ...] = ()  # the steps of skipped rounds, in which the copies only move
 
     def compute(self) -> Particles:
-        """Compute the copies that are still to be computed; return all of them, at the stamp of the belief."""
+        """Compute the copies that are still to be computed; return all of them, at the tick of the belief."""
         if self.inputs is not None:
             step, backend, density, polygon, claim, horizon = self.inputs
             copies = backend.remote_copies(self.near, as_particles(density), polygon, claim, horizon, step)
@@ -99,7 +99,7 @@ def worth_keeping(copies: Particles, per_target: int) -> Particles:
 def _without_claim(belief: Belief) -> Belief:
     """The belief without a claim: all particles are copies."""
     particles = canonical(join([belief.mine.targets, belief.copies.compute()]))
-    return belief_without_claim(belief.mine.owner, belief.stamp, NO_PARTICLES, Copies(particles))
+    return belief_without_claim(belief.mine.owner, belief.tick, NO_PARTICLES, Copies(particles))
 
 
 def as_stated(particles: Particles, owner: str, step: Step) -> Particles:
@@ -142,11 +142,11 @@ class ParticlePhd(NamedTuple):
 
     def catch_up(self, belief: Belief, step: Step) -> Belief:
         """See `Tracker.catch_up`: all particles become copies, and move by the keyed noise of the missed ticks."""
-        if belief.stamp >= step.tick - 1:
+        if belief.tick >= step.tick - 1:
             return belief
         released = _without_claim(belief)
         moved = reduce(predict, missed_steps(belief, step), released.copies.near)
-        return replace(released, stamp=step.tick - 1, copies=Copies(moved))
+        return replace(released, tick=step.tick - 1, copies=Copies(moved))
 
     def keep_claim(self, belief: Belief, step: Step, alone: RegionUpdate | None = None) -> Belief:
         """See `Tracker.keep_claim`: all particles move by the keyed noise of the missed ticks; the owned ones are rounded as on the wire.

@@ -88,7 +88,7 @@ def _tidied(mixture: Mixture, step: Step) -> Mixture:
 
 def _without_claim(belief: Belief) -> Belief:
     """The belief without a claim: all components are copies."""
-    return belief_without_claim(belief.mine.owner, belief.stamp, EMPTY, canonical(join([belief.mine.targets, belief.copies])))
+    return belief_without_claim(belief.mine.owner, belief.tick, EMPTY, canonical(join([belief.mine.targets, belief.copies])))
 
 
 class MixturePhd(NamedTuple):
@@ -114,10 +114,10 @@ class MixturePhd(NamedTuple):
 
     def catch_up(self, belief: Belief, step: Step) -> Belief:
         """See `Tracker.catch_up`: all components become copies, and move by the missed ticks."""
-        if belief.stamp >= step.tick - 1:
+        if belief.tick >= step.tick - 1:
             return belief
         released = _without_claim(belief)
-        return replace(released, stamp=step.tick - 1, copies=reduce(_moved, missed_steps(belief, step), released.copies))
+        return replace(released, tick=step.tick - 1, copies=reduce(_moved, missed_steps(belief, step), released.copies))
 
     def keep_claim(self, belief: Belief, step: Step, alone: RegionUpdate | None = None) -> Belief:
         """See `Tracker.keep_claim`: all components move by the missed ticks, and those in the kept claim are owned."""

@@ -71,29 +71,29 @@ class OwnedState(NamedTuple):
 
 @dataclass
 class Belief:
-    """The belief of an agent after the round of tick `stamp`: its owned state, and copies of what the others own."""
+    """The belief of an agent after the round of a tick: its owned state, and copies of what the others own."""
 
-    stamp: int  # the tick of its last round, or of the last prediction
+    tick: int  # of its last round, or of the last prediction
     mine: OwnedState
     copies: Any  # as the tracker represents them
     generator_names: frozenset[str] = frozenset()  # the agents with a generator in the diagram of `mine`
     known_names: frozenset[str] | None = None  # the agents known in that round; None if the agent receives all gossips
-    kept_since: int | None = None  # the claim was cut in this round and kept over skipped ones; None: it was cut at `stamp`
+    kept_since: int | None = None  # the claim was cut in this round and kept over skipped ones; None: it was cut at `tick`
 
     @property
     def claim_tick(self) -> int:
         """The tick of the round in which the claim was cut."""
-        return self.stamp if self.kept_since is None else self.kept_since
+        return self.tick if self.kept_since is None else self.kept_since
 
 
 def missed_steps(belief: Belief, step: Step) -> tuple[Step, ...]:
     """The steps between the tick of a belief and `step`, of too many the last `MOST_MISSED`."""
-    return tuple([step._replace(tick=tick) for tick in range(max(belief.stamp + 1, step.tick - MOST_MISSED), step.tick)])
+    return tuple([step._replace(tick=tick) for tick in range(max(belief.tick + 1, step.tick - MOST_MISSED), step.tick)])
 
 
-def belief_without_claim(owner: str, stamp: int, nothing: Any, copies: Any) -> Belief:
+def belief_without_claim(owner: str, tick: int, nothing: Any, copies: Any) -> Belief:
     """The belief of an agent that claims and owns `nothing`: all targets are copies."""
-    return Belief(stamp, OwnedState(owner, NO_CLAIM, nothing, 0), copies)
+    return Belief(tick, OwnedState(owner, NO_CLAIM, nothing, 0), copies)
 
 
 def unknown_senders(belief: Belief, table: GossipTable) -> frozenset[str]:

@@ -20,7 +20,7 @@ from deploy.scenario import ORACLE, Scenario, agent_config, check_certificates, 
 from deploy.scoring.tick_rate import too_small
 from deploy.storage.run_directory import ROOM, runs_folder
 from protocol.settings import BadSetting, NetworkSettings
-from world.bodies import pose_remarks
+from world.bodies import pose_warnings
 
 
 def init(file: Path) -> int:
@@ -93,7 +93,7 @@ def check(scenario: Scenario) -> int:
     print(f"           {targets_in_words(scenario)}, {run.ticks} ticks of {run.dt:g} s")
     if not math.isclose(run.ticks * run.dt, run.seconds):
         print(f"           run.seconds = {run.seconds:g} is no multiple of run.dt: the run lasts {run.ticks * run.dt:g} s")
-    for remark in filter(None, (platform_remark, *pose_remarks(world_config(scenario)))):
+    for remark in filter(None, (platform_remark, *pose_warnings(world_config(scenario)))):
         print(f"bodies     {remark}")
     if scenario.control.mode == ORACLE:
         print("control    oracle knows the true targets: of `covey simulate` alone, `covey up` refuses it")

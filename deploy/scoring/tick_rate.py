@@ -6,7 +6,7 @@ from collections import deque
 from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
-from deploy.scenario import Scenario, own_classes
+from deploy.scenario import Scenario, user_classes
 from deploy.scoring.status import TickRate
 from protocol.observer_messages import Estimate
 
@@ -150,6 +150,6 @@ class TickRateMeter:
         fits = run.rate * speed * (1.0 - share)
         behind = f"{100.0 * share:.0f} % of the rounds are skipped" if share > BAD_SHARE else f"{100.0 * speed:.0f} % of the ticks come"
         what = f"{len(self._scenario.members)} agents at rate {run.rate:g}"
-        own = " and ".join(own_classes(self._scenario))
+        own = " and ".join(user_classes(self._scenario))
         blamed = f"{own} takes too long, or " if own else ""  # what takes the time is not measured
         return f"{blamed}this machine is too small for {what} ({behind}): take --rate {fits:.2g} or less, or --lockstep"

@@ -16,7 +16,7 @@ from typing import Any
 
 import msgspec
 
-from deploy.scenario import SEARCH_EXTRACTION, Scenario, find, own_classes, resolve, toml_value
+from deploy.scenario import SEARCH_EXTRACTION, Scenario, find, resolve, toml_value, user_classes
 from deploy.scoring.error_parts import ErrorParts
 from deploy.scoring.result import Result
 from deploy.simulation import Simulation
@@ -138,7 +138,7 @@ def key_of(made_of: list[Any], scenario: Scenario) -> str:
 def _class_files(scenario: Scenario) -> list[Path]:
     """The source files of the user's own classes: of each the named module, and the one that the class comes from."""
     found: set[Path] = set()
-    for name in own_classes(scenario):
+    for name in user_classes(scenario):
         with suppress(ValueError, ImportError):  # a class that cannot be loaded is refused where the run builds it
             modules = {name.partition(":")[0], getattr(load_named(name), "__module__", "")}
             sources = [getattr(sys.modules.get(module), "__file__", None) for module in modules]

@@ -33,18 +33,18 @@ from protocol.settings import ArenaSettings, sensor_of
 
 
 class CentralFilter:
-    """A PHD over the whole arena; `particles` holds after the tick `stamp`, `updated` is what the new ones were drawn from."""
+    """A PHD over the whole arena; `particles` holds after `tick`, `updated` is what the new ones were drawn from."""
 
-    def __init__(self, scenario: Scenario, particles: Particles, stamp: int = -1, backend: Backend = PLAIN) -> None:
+    def __init__(self, scenario: Scenario, particles: Particles, tick: int = -1, backend: Backend = PLAIN) -> None:
         self.config, self._backend = agent_config(scenario), backend
         self._classes = scenario.members
-        self.particles, self.stamp = particles, stamp
+        self.particles, self.tick = particles, tick
         self.updated = particles
 
     def play(self, gossips: Mapping[str, Gossip], claims: Mapping[str, Claim]) -> None:
         """One tick on: predict, correct with the scans of all `gossips`, draw new particles in each of the `claims`."""
-        self.stamp += 1
-        config, step = self.config, Step(self.config, self.stamp)
+        self.tick += 1
+        config, step = self.config, Step(self.config, self.tick)
         born = background_births(step)
         any_sensor = sensor_of(config, next(iter(self._classes.values())))  # its view of the whole is not asked for
         everywhere = RegionInput("", 0, any_sensor, (0.0, 0.0, 0.0), _widely(config.arena), NO_CLAIM)
@@ -54,17 +54,17 @@ class CentralFilter:
 
 
 class CentralMixture:
-    """The same with a Gaussian mixture; `mixture` holds after the tick `stamp`."""
+    """The same with a Gaussian mixture; `mixture` holds after `tick`."""
 
-    def __init__(self, scenario: Scenario, mixture: Mixture, stamp: int = -1) -> None:
+    def __init__(self, scenario: Scenario, mixture: Mixture, tick: int = -1) -> None:
         self.config, self._classes = agent_config(scenario), scenario.members
-        self.mixture, self.stamp = mixture, stamp
+        self.mixture, self.tick = mixture, tick
         self.updated = mixture
 
     def play(self, gossips: Mapping[str, Gossip], claims: Mapping[str, Claim]) -> None:
         """One tick on, as `CentralFilter.play`: what is kept of the components in each of the `claims`."""
-        self.stamp += 1
-        step, table = Step(self.config, self.stamp), _all(gossips, self._classes, self.config)
+        self.tick += 1
+        step, table = Step(self.config, self.tick), _all(gossips, self._classes, self.config)
         _, self.updated = gaussian_belief.filter_step(self.mixture, table, step)
         self.mixture = canonical(join([EMPTY, *(gaussian_belief.take(self.updated, claim, step) for claim in claims.values())]))
 

@@ -135,9 +135,9 @@ class InvariantChecker:
         before = self._outcomes.get(label, outcome)
         self._outcomes[label] = outcome
         if outcome is not before:
-            check_round(node, is_first=before.belief.stamp < 0)
+            check_round(node, is_first=before.belief.tick < 0)
             check_words(node)
-            if outcome.belief.claim_tick == outcome.belief.stamp:  # else a held belief, whose diagram is an older one
+            if outcome.belief.claim_tick == outcome.belief.tick:  # else a held belief, whose diagram is an older one
                 check_diagram(node, self._silent_since(node))
             self._check_order(node)
         while self._collector.commands:
@@ -147,7 +147,7 @@ class InvariantChecker:
         """The tick of the round that the agent played `SILENT_ROUNDS` rounds ago, or a later one; not every tick has a round."""
         number = agent.counters["rounds"]
         played = self._rounds.setdefault((agent.name, agent.incarnation), deque(maxlen=SILENT_ROUNDS + 1))
-        played.append((number, agent.outcome.belief.stamp))
+        played.append((number, agent.outcome.belief.tick))
         return min(tick for other, tick in played if other >= number - SILENT_ROUNDS)
 
     def _check_order(self, agent: Agent) -> None:
@@ -275,7 +275,7 @@ def check_round(agent: Agent, is_first: bool) -> None:
     need(bool(np.all(np.isfinite(outcome.estimates.positions))), f"{name}: a target that is nowhere")
     arena = agent.config.arena
     need(polygon_area(outcome.cell) <= arena.width * arena.height * SLACK, f"{name}: a cell larger than the arena")
-    need(not (is_first and outcome.belief.stamp > 0 and belief.mine.claim.names), f"{name}: a newcomer with a cell before it has listened")
+    need(not (is_first and outcome.belief.tick > 0 and belief.mine.claim.names), f"{name}: a newcomer with a cell before it has listened")
     ticks = Counter(itertools.chain.from_iterable(agent.peer_table.inbox.rounds.values()))
     need(max(ticks.values(), default=0) <= 2 * WINDOW_TICKS, f"{name}: a queue of {max(ticks.values(), default=0)} ticks of a peer")
     need(len(near.ids) <= 4 * MOST_COPIES, f"{name}: {len(near.ids)} copies")
@@ -289,7 +289,7 @@ def check_words(agent: Agent) -> None:
     carried = [peer.announced for peer in agent.peer_table.peers.values() if peer.announced is not None]
     most = SLACK * max([agent.context.announced.facts.capability, *(announced.facts.capability for announced in carried)])
     for name, gossip in agent.peer_table.inbox.newest_closed.items():
-        if gossip.tick == agent.outcome.belief.stamp:
+        if gossip.tick == agent.outcome.belief.tick:
             numbers = (*gossip.pose, *gossip.cod, gossip.power_radius, gossip.unused, gossip.weight)
             need(all(map(math.isfinite, numbers)) and gossip.weight >= 0.0, f"{agent.name}: believes {numbers} of {name}")
             need(bool(np.all(np.isfinite(gossip.states))), f"{agent.name}: took a particle that is nowhere from {name}")
@@ -305,7 +305,7 @@ def check_diagram(agent: Agent, since: int) -> None:
             continue
         need(
             last.tick < since or name in belief.generator_names,
-            f"{agent.name}: {name} is alive, was heard at {last.tick}, no generator at {belief.stamp}",
+            f"{agent.name}: {name} is alive, was heard at {last.tick}, no generator at {belief.tick}",
         )
 
 
@@ -336,7 +336,7 @@ def fingerprint(agent: Agent) -> Fingerprint:
     """The print of an agent; taking it changes nothing about how the agent keeps its gossips."""
     peer_table = agent.peer_table
     peers = {
-        name: (peer.incarnation, peer.token, peer.refused_until, peer.missed, Identity(peer.announced), peer.doubted, peer.differs)
+        name: (peer.incarnation, peer.token, peer.refused_until, peer.missed, Identity(peer.announced), peer.suspected, peer.differs)
         for name, peer in peer_table.peers.items()
     }
     return Fingerprint(agent.tick, Identity(agent.outcome), peers, held(peer_table.inbox))

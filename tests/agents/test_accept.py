@@ -53,7 +53,7 @@ def test_every_row_has_its_reason_and_spoils_no_other() -> None:
 def test_of_two_incarnations_in_one_batch_the_older_leaves_no_gossip_without_a_sensor_behind() -> None:
     """A peer without a token: its younger incarnation has announced no sensor yet, and nothing of the older one counts any more."""
     peers, awaited = after_a_round(), {"s2", "s3"}
-    peers.gone("s2", 1, 0, doubted=True)
+    peers.gone("s2", 1, 0, suspected=True)
     batch = Batch([gossip("s2", 1), gossip("s2", 2, incarnation=2), gossip("s3", 1)])
     assert peers.accept(batch, 0, 1, awaited) == ["incarnation", "unknown_sensor", ACCEPTED]
     assert list(peers.fresh(1)) == ["s3"] and not awaited

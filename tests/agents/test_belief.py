@@ -141,7 +141,7 @@ def test_a_gossip_without_a_claim_owns_nothing() -> None:
 
 
 def test_copies_of_what_was_told_are_moved_on_but_for_those_that_were_corrected() -> None:
-    """Told at stamp 3 and one step on; what lies within 6 m of the own cell is in `near` already."""
+    """Told at tick 3 and one step on; what lies within 6 m of the own cell is in `near` already."""
     step = Step(CONFIG, 4)
     cell = np.array([[0.0, 0.0], [50.0, 0.0], [50.0, 100.0], [0.0, 100.0]])
     told = particles((2, 80.0, 0.1), (3, 52.0, 0.1), (4, 90.0, 0.0))
@@ -176,7 +176,7 @@ def test_a_sleeper_replays_the_motion_that_it_missed_and_claims_nothing() -> Non
     expected = canonical(join([own, copies]))
     for tick in (5, 6, 7):
         expected = predict(expected, Step(CONFIG, tick))
-    assert awake.stamp == 7 and awake.mine.claim.names == ()
+    assert awake.tick == 7 and awake.mine.claim.names == ()
     assert (awake.copies.compute().states == expected.states).all() and (awake.copies.compute().weights == expected.weights).all()
 
 
@@ -188,8 +188,8 @@ def test_of_a_long_sleep_only_the_last_ticks_are_replayed(tracker: ParticlePhd |
     asleep, day = tracker.start("s1", CLOSED, (40.0, 40.0, 60.0, 60.0)), 400_000
     fields = [field for field in ("weights", "states", "means") if hasattr(copies_of(asleep), field)]
     short, long, too_long = [
-        copies_of(tracker.catch_up(replace(asleep, stamp=stamp), Step(CLOSED, day)))
-        for stamp in (day - most, day - most - 1, day - 10 * most)
+        copies_of(tracker.catch_up(replace(asleep, tick=tick), Step(CLOSED, day)))
+        for tick in (day - most, day - most - 1, day - 10 * most)
     ]
     assert all((getattr(long, field) == getattr(too_long, field)).all() for field in fields)
     assert len(long.weights) and (len(short.weights) != len(long.weights) or (short[0] != long[0]).any())

@@ -5,7 +5,7 @@ import math
 import pytest
 
 from agents.agent import Agent
-from agents.membership.local_health import BEAT_PERIOD, DOUBT_SECONDS, STALL_THRESHOLD, LocalHealth
+from agents.membership.local_health import BEAT_PERIOD, SUSPICION_SECONDS, STALL_THRESHOLD, LocalHealth
 from protocol.node import Alive, Gone, Timer
 from tests.agents.test_agent import hello, met, see, word
 
@@ -14,14 +14,14 @@ def test_a_beat_that_comes_late_is_a_stall_and_one_in_time_is_none() -> None:
     health = LocalHealth(measured=True)
     health.start(10.0)
     health.note_event(10.0 + BEAT_PERIOD + STALL_THRESHOLD)
-    assert health.stalled == 0.0 and not health.is_doubtful(11.0)
+    assert health.stalled == 0.0 and not health.has_just_stalled(11.0)
     health.note_event(20.0)
     assert (
         health.stalled == pytest.approx(10.0 - 2 * BEAT_PERIOD - STALL_THRESHOLD)
-        and health.is_doubtful(20.0)
+        and health.has_just_stalled(20.0)
         and health.has_stalled_since(12.0)
     )
-    assert health.is_doubtful(20.0 + DOUBT_SECONDS) and not health.is_doubtful(20.1 + DOUBT_SECONDS)
+    assert health.has_just_stalled(20.0 + SUSPICION_SECONDS) and not health.has_just_stalled(20.1 + SUSPICION_SECONDS)
 
 
 def test_a_clock_that_jumps_back_goes_on_measuring() -> None:
@@ -93,12 +93,12 @@ def test_silence_counts_only_in_rounds_in_which_the_agent_was_served() -> None:
     assert "s2" not in agent.outcome.belief.generator_names and agent.peer_table.silence_timeouts == 1
 
 
-def test_a_gossip_ends_the_doubt() -> None:
+def test_a_gossip_ends_the_suspicion() -> None:
     agent, names = swarm_of(4)
     for name in names:
         agent.handle(Gone("agent", name, 1), 4.0)
     agent.handle(word(2), 4.0)
-    assert not agent.peer_table.peers["s2"].doubted and agent.peer_table.peers["s3"].doubted
+    assert not agent.peer_table.peers["s2"].suspected and agent.peer_table.peers["s3"].suspected
 
 
 @pytest.mark.parametrize("older_goes_late", [False, True])
@@ -116,9 +116,9 @@ def test_an_agent_that_was_restarted_with_its_body_is_waited_for_again(older_goe
 
 
 @pytest.mark.parametrize(("now", "is_gone"), [(1.0, True), (4.0, False)])
-def test_a_lost_body_is_doubted_as_a_lost_agent_is(now: float, is_gone: bool) -> None:
+def test_a_lost_body_is_suspected_as_a_lost_agent_is(now: float, is_gone: bool) -> None:
     agent, _ = swarm_of(4)
     agent.handle(Alive("body", "s2", 1), 0.6)
     agent.handle(Gone("body", "s2", 1), now)
     peer = agent.peer_table.peers["s2"]
-    assert (peer.refused_until is not None, peer.doubted) == (is_gone, not is_gone)
+    assert (peer.refused_until is not None, peer.suspected) == (is_gone, not is_gone)

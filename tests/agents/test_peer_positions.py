@@ -177,13 +177,13 @@ def said(found: PeerTable, *beacons: Beacon) -> list[bool]:
     return [found.take_beacon(strange) for strange in found.positions.note_all([*beacons], found.peers)]
 
 
-def test_a_beacon_lifts_a_doubt_as_a_gossip_does() -> None:
+def test_a_beacon_lifts_a_suspicion_as_a_gossip_does() -> None:
     found = peers()
     for name in ("s2", "s3"):
         found.alive(name, 1)
-        found.gone(name, 1, 5, doubted=True)
+        found.gone(name, 1, 5, suspected=True)
     said(found, beacon("s2", 8, 10.0))
-    assert not found.peers["s2"].doubted and found.peers["s3"].doubted
+    assert not found.peers["s2"].suspected and found.peers["s3"].suspected
 
 
 def test_a_beacon_of_a_tick_far_ahead_brings_nobody_back_who_has_gone() -> None:

@@ -131,7 +131,7 @@ def test_a_gossip_of_a_tick_far_ahead_brings_nobody_back_who_has_gone() -> None:
 def test_a_lost_token_is_no_departure_of_one_that_is_heard_by_an_agent_that_wakes() -> None:
     peers = neighbours("s2", "s3", "s4")
     for tick in (0, 40):  # in between this agent stood still
-        assert tick == 0 or not peers.gone("s4", 1, 0, doubted=True)
+        assert tick == 0 or not peers.gone("s4", 1, 0, suspected=True)
         for name in ("s2", "s3", "s4"):
             assert hear(peers, gossip(name, tick)) is None
         peers.close(tick)
@@ -390,9 +390,9 @@ def test_news_are_what_the_table_does_not_hold_and_all_that_other_roles_say() ->
     assert peers.take_hello(known) is None and peers.new_announcements([known, other_sensor]) == [other_sensor]
 
 
-def test_the_token_of_an_older_incarnation_replaces_none_whose_own_token_is_doubted() -> None:
+def test_the_token_of_an_older_incarnation_replaces_none_whose_own_token_is_suspected() -> None:
     peers = neighbours("s2")
     peers.alive("s2", 3)
-    assert not peers.gone("s2", 3, 5, doubted=True)
+    assert not peers.gone("s2", 3, 5, suspected=True)
     peers.alive("s2", 1)
     assert peers.peers["s2"].incarnation == 3

@@ -101,7 +101,7 @@ def test_the_estimate_of_a_shared_round_does_not_wait_for_gossips_and_nothing_of
     before = swarm.agent.outcome
     effects = swarm.see(2, TARGET)
     assert said(effects, Gossip) == said(effects, Estimate) == said(effects, Command) == [2]
-    assert swarm.agent.outcome.density is before.density and swarm.agent.outcome.belief.stamp == 1
+    assert swarm.agent.outcome.density is before.density and swarm.agent.outcome.belief.tick == 1
     [estimate] = [effect for effect in effects if isinstance(effect, Estimate)]
     assert len(estimate.targets) == 1 and np.hypot(*(estimate.targets[0] - TARGET)) < 2.0
     effects = swarm.hear(2)
@@ -133,10 +133,10 @@ def test_a_scan_that_comes_while_a_round_is_open_is_played_when_it_closes() -> N
     swarm = Swarm(2)
     swarm.see(1, TARGET)
     assert said(swarm.see(2, TARGET), Gossip) == [2]
-    assert not swarm.see(3, TARGET) and swarm.agent.outcome.belief.stamp == 1
+    assert not swarm.see(3, TARGET) and swarm.agent.outcome.belief.tick == 1
     effects = swarm.hear(2)
     assert said(effects, Estimate) == said(effects, Command) == [3], "those of 2 were in time"
-    assert swarm.agent.outcome.belief.stamp == 3 and swarm.agent.outcome.belief.claim_tick == 2
+    assert swarm.agent.outcome.belief.tick == 3 and swarm.agent.outcome.belief.claim_tick == 2
 
 
 def test_a_round_that_never_completes_is_closed_by_the_next_one_and_its_scans_are_played_before() -> None:
@@ -149,7 +149,7 @@ def test_a_round_that_never_completes_is_closed_by_the_next_one_and_its_scans_ar
     effects = swarm.see(8, TARGET)
     assert said(effects, Estimate) == [5, 6, 7, 8] and said(effects, Gossip) == [8]
     assert said(effects, Command) == [7, 8], "that of 4 was in time, and of 5 to 7 the last steers"
-    assert swarm.agent.outcome.belief.stamp == 7 and swarm.agent.outcome.belief.claim_tick == 4
+    assert swarm.agent.outcome.belief.tick == 7 and swarm.agent.outcome.belief.claim_tick == 4
 
 
 def test_ticks_that_were_missed_are_played_without_a_scan() -> None:
@@ -160,7 +160,7 @@ def test_ticks_that_were_missed_are_played_without_a_scan() -> None:
         for tick in (1, 2) if places is not None else ():
             swarm.see(tick, *places)
         swarm.see(3, TARGET)
-        assert swarm.agent.outcome.belief.stamp == 3
+        assert swarm.agent.outcome.belief.tick == 3
         masses.append(stated(swarm.see(4)))
     missed, empty, seen = masses
     assert missed > 0.5 and empty < 0.5 * missed and missed < 0.95 * seen
@@ -199,7 +199,7 @@ def test_a_claim_is_kept_no_longer_than_peers_keep_the_generator() -> None:
     swarm = Swarm(4)
     assert said(swarm.see(15, TARGET), Command) == [15]
     late = Swarm(4)
-    assert not said(late.see(17, TARGET), Command) and late.agent.outcome.belief.stamp == 0
+    assert not said(late.see(17, TARGET), Command) and late.agent.outcome.belief.tick == 0
 
 
 def test_particles_stay_in_the_cell_of_the_last_round() -> None:
@@ -210,7 +210,7 @@ def test_particles_stay_in_the_cell_of_the_last_round() -> None:
     assert round_cell is not None and belief.mine.claim is round_cell.region.claim
     assert (belief.mine.targets.states[:, 0] <= round_cell.region.polygon[:, 0].max() + 1e-6).all()
     moved = swarm.agent.context.tracker.keep_claim(belief, Step(swarm.agent.config, 5))
-    assert moved.stamp == 4 and moved.claim_tick == 0
+    assert moved.tick == 4 and moved.claim_tick == 0
 
 
 def test_ticks_of_which_nothing_was_seen_keep_the_particles_that_enter_the_cell() -> None:

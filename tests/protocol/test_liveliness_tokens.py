@@ -38,7 +38,7 @@ def test_what_a_new_session_does_not_see_again_is_lost_and_what_it_sees_again_is
     for name in ("s2", "s3", "s4"):
         tokens.see(key(name), True)
     assert tokens.take_lost() == []
-    tokens.doubt()
+    tokens.suspect_all()
     assert tokens.see(key("s3"), True) == []
     assert tokens.see(key("s4"), False) == [Gone("agent", "s4", 1)]
     assert tokens.take_lost() == [Gone("agent", "s2", 1)]
@@ -109,7 +109,7 @@ def test_a_waiting_token_that_vanishes_is_forgotten_untold() -> None:
     assert tokens.see(key("s2"), False) == [] and not tokens.hear("s2")
     tokens.see(key("s3"), True)
     tokens.see(key("s4"), True)
-    tokens.doubt()
+    tokens.suspect_all()
     assert tokens.see(key("s4"), True) == tokens.see(key("x0"), True) == []
     assert tokens.take_lost() == [Gone("agent", name, 1) for name in sorted(f"x{number}" for number in range(1, MOST_NAMES))]
     assert not tokens.hear("s3") and tokens.hear("s4") == [Alive("agent", "s4", 1)]
@@ -140,7 +140,7 @@ def test_of_many_incarnations_of_a_name_the_largest_are_kept() -> None:
     assert tokens.see(key("s2", 30), True) == [Gone("agent", "s2", 11), Alive("agent", "s2", 30)]
     assert tokens.see(token_key("t", "body", "s2", 1), True) == [Alive("body", "s2", 1)], "another role"
     assert tokens.see(key("s2", 11), False) == [], "told already"
-    tokens.doubt()
+    tokens.suspect_all()
     assert tokens.see(key("s2", 31), True) == [Gone("agent", "s2", 12), Alive("agent", "s2", 31)]
     assert tokens.take_lost() == [*(Gone("agent", "s2", each) for each in (13, 14, 15, 16, 17, 18, 30)), Gone("body", "s2", 1)]
 

@@ -119,7 +119,7 @@ def stale_claim_wins(case: Case, patch: pytest.MonkeyPatch) -> str | None:
     right = message_builders.gossip
 
     def gossip(me: AgentContext, incarnation: int, outcome: RoundResult, observation: Observation, **words: Any) -> Gossip:
-        outcome.belief.stamp = observation.tick - 1
+        outcome.belief.tick = observation.tick - 1
         return right(me, incarnation, outcome, observation, **words)
 
     patch.setattr(message_builders, "gossip", gossip)

@@ -42,7 +42,7 @@ class Eavesdropper(Node):
 
 def owned_by_all(agents: dict[str, Agent], tick: int) -> tuple[dict[str, Particles], dict[str, Claim]]:
     """What the agents own after round `tick`, and the claims in which they own it, by name."""
-    stated = {name: agent.outcome.belief.mine for name, agent in agents.items() if agent.outcome.belief.stamp == tick}
+    stated = {name: agent.outcome.belief.mine for name, agent in agents.items() if agent.outcome.belief.tick == tick}
     return {name: each.targets for name, each in stated.items()}, {name: each.claim for name, each in stated.items()}
 
 

@@ -55,7 +55,7 @@ def nees(seed: int, **settings: Any) -> float:
         for agent in simulation.agents.values():
             held = agent.outcome.belief.mine.targets
             near = np.hypot(*(held.states[:, :2] - target).T) < 2.0
-            if agent.outcome.belief.stamp == truth.tick and truth.time >= SETTLED and near.sum() >= 5:
+            if agent.outcome.belief.tick == truth.tick and truth.time >= SETTLED and near.sum() >= 5:
                 apart = held.states[near, :2] - target
                 error, spread = apart.mean(axis=0), np.cov(apart.T, ddof=0)
                 found.append(float(error @ np.linalg.pinv(spread) @ error))

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 import msgspec
 import pytest
 
-from agents.membership.peer_table import COMPLETE_NEIGHBOURHOOD
+from agents.membership.peer_table import COMPLETE_SET_HASH
 from agents.round import COPY_HORIZON
 from agents.tracking.belief import Copies
 from deploy.bench.simulations import crowd
@@ -122,7 +122,7 @@ def test_who_owns_nothing_agrees_with_all_the_others() -> None:
     simulation.bus.add(listener)
     simulation.run()
     said = [one for tick, estimates in listener.estimates.items() if tick > 0 for one in estimates.values()]
-    unsure = [one for one in said if one.diagram_hash != COMPLETE_NEIGHBOURHOOD]
+    unsure = [one for one in said if one.diagram_hash != COMPLETE_SET_HASH]
     assert [one.tick for one in unsure if not len(one.cell)] == [] and len(unsure) < 0.01 * len(said)
 
 

@@ -76,7 +76,7 @@ def test_after_a_tick_in_which_a_spoilt_swarm_owns_something_twice_the_central_f
     gossips[tick + 1] = right
     checker._compare(tick)
     after = checker._central_filter or checker._central_mixture
-    assert after is not None and after.stamp == tick
+    assert after is not None and after.tick == tick
 
 
 def agent_of(simulation: Simulation, seconds: float = 2.0) -> Agent:
@@ -91,11 +91,11 @@ def test_a_peer_that_was_heard_some_rounds_ago_has_a_generator_and_a_round_is_as
     heard = agent.peer_table.inbox.newest_closed["s2"].tick
     agent.outcome.belief.generator_names = frozenset({"s1"})
     for rounds in range(SILENT_ROUNDS + 1):
-        agent.outcome.belief.stamp, agent.counters["rounds"] = heard + rounds * pace, 100 + rounds
+        agent.outcome.belief.tick, agent.counters["rounds"] = heard + rounds * pace, 100 + rounds
         since = checker._silent_since(agent)
     with pytest.raises(InvariantBroken, match="s2 is alive, was heard"):
         check_diagram(agent, since)
-    agent.outcome.belief.stamp, agent.counters["rounds"] = heard + rounds * pace + 1, 101 + rounds
+    agent.outcome.belief.tick, agent.counters["rounds"] = heard + rounds * pace + 1, 101 + rounds
     check_diagram(agent, checker._silent_since(agent))
 
 
@@ -118,7 +118,7 @@ def test_a_print_shows_every_change_of_what_is_known_of_a_peer_and_nothing_else(
     peer, before = agent.peer_table.peers["s2"], fingerprint(agent)
     assert fingerprint(agent) == before
     sensor = msgspec.structs.replace(peer.announced.sensor, radius=1.0)  # type: ignore[union-attr]
-    for field, value in (("announced", peer.announced._replace(sensor=sensor)), ("doubted", True), ("differs", ("run.dt",))):  # type: ignore
+    for field, value in (("announced", peer.announced._replace(sensor=sensor)), ("suspected", True), ("differs", ("run.dt",))):  # type: ignore
         known = getattr(peer, field)
         setattr(peer, field, value)
         assert fingerprint(agent).of("s2") != before.of("s2"), field

@@ -75,7 +75,7 @@ def test_the_lag_goes_with_the_delay_and_leaves_no_hole() -> None:
     scenario = tracking(fault(START, "delay", "100%", 0.7, seconds=4.0), run__dt=DT, run__seconds=14.0, timing__look_ahead=2.5)
     seen = watch(scenario, clock="realtime")
     assert max(seen.holes) < 1e-9 and lags(seen.simulation) == {0}
-    assert all(agent.outcome.belief.stamp == agent.tick for agent in seen.agents.values())
+    assert all(agent.outcome.belief.tick == agent.tick for agent in seen.agents.values())
 
 
 def test_without_the_setting_nothing_is_played_late() -> None:
@@ -136,7 +136,7 @@ def test_an_owner_keeps_the_particles_that_it_states_in_few_bytes() -> None:
     seen = watch(tracking(run__dt=DT, run__seconds=6.0, filter__compact=True), clock="realtime")
     for agent in seen.agents.values():
         mine = agent.outcome.belief.mine.targets
-        states, ids = quantised(mine.states, seen.simulation.scenario.filter.speed, agent.name, agent.outcome.belief.stamp)
+        states, ids = quantised(mine.states, seen.simulation.scenario.filter.speed, agent.name, agent.outcome.belief.tick)
         assert np.array_equal(states, mine.states) and np.array_equal(ids, mine.ids)
     assert sum(len(agent.outcome.belief.mine.targets.ids) for agent in seen.agents.values()) > 100
 

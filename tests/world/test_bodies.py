@@ -11,7 +11,7 @@ from protocol.messages import Command
 from protocol.sensing import Pose
 from protocol.settings import ArenaSettings, BadSetting, LimitSettings
 from world import bodies as module
-from world.bodies import Bodies, check_given, free_pose, pose_remarks, pose_with_error, start_pose
+from world.bodies import Bodies, check_given, free_pose, pose_warnings, pose_with_error, start_pose
 from world.config import BodySettings, RecordedSettings, WorldConfig, WorldRun
 
 LIMITS = LimitSettings(speed=2.0, turn_rate=5.0)
@@ -89,14 +89,14 @@ def test_a_start_depends_on_seed_and_name_alone() -> None:
 def test_given_poses_that_are_not_read_or_lie_outside_of_the_arena_are_told() -> None:
     arena, poses = ArenaSettings(width=40.0, height=20.0), {"s1": (0.0, 20.0, 0.0), "s2": (-500.0, 2.0, 3.0), "zz": (1.0, 2.0, 3.0)}
     given = WorldConfig(members={"s1": "A", "s2": "B"}, arena=arena, bodies=BodySettings(start="given", poses=poses))
-    assert pose_remarks(given) == [
+    assert pose_warnings(given) == [
         "bodies.poses.s2: lies outside of the arena of 40 x 20 m",
         "bodies.poses.zz: there is no such agent",
     ]
-    assert pose_remarks(WorldConfig(members={"s1": "A"}, bodies=BodySettings(poses=poses))) == [
+    assert pose_warnings(WorldConfig(members={"s1": "A"}, bodies=BodySettings(poses=poses))) == [
         "bodies.poses is not read: bodies.start should be 'given'"
     ]
-    assert pose_remarks(WorldConfig(members={"s1": "A"})) == []
+    assert pose_warnings(WorldConfig(members={"s1": "A"})) == []
 
 
 def test_given_poses_are_taken_and_guests_start_anywhere() -> None:
