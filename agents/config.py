@@ -14,7 +14,7 @@ from protocol.settings import CommonSettings, Fraction, NotNegative, Positive, S
 from protocol.settings_digest import common_sections, shared_settings
 
 ParticleCount = Annotated[int, msgspec.Meta(ge=1, le=8000)]
-Certainty = Annotated[float, msgspec.Meta(ge=0.0, le=0.999999)]
+BelowOne = Annotated[float, msgspec.Meta(ge=0.0, le=0.999999)]
 Density = Annotated[float, msgspec.Meta(ge=0.0, le=100.0)]  # per m^2
 Distance = Annotated[float, msgspec.Meta(ge=0.1, le=1000.0)]  # m
 
@@ -36,7 +36,7 @@ class FilterSettings(Section, frozen=True, kw_only=True):
     most_particles: ParticleCount = 2000  # per owner
     gate: Annotated[float, msgspec.Meta(gt=0.0, le=10.0)] = 6.0  # the likelihood is cut at this many standard deviations
     halo: Positive = 6.0  # what is updated around the own cell, m
-    certainty: Certainty = 0.999  # how sure the filter may be that a target is there: a miss is weighed against that
+    certainty: BelowOne = 0.999  # how sure the filter may be that a target is there: a miss is weighed against that
     vicinity: Distance = 3.0  # particles this close to each other may be one target, m
     compact: bool = False  # particles take 6 bytes on the wire instead of 24, for links of little bandwidth; needs timing.overlap = 0
     roughening: Annotated[float, msgspec.Meta(ge=0.0, le=10.0)] = 0.4  # width of a particle, in units of Silverman's rule

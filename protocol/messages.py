@@ -113,7 +113,7 @@ class Beacon(Message, frozen=True, kw_only=True, dict=True, tag="beacon"):
     widest_radius: Magnitude = 0.0
 
     @cached_attribute
-    def numbers(self) -> bytes:
+    def table_row(self) -> bytes:
         """Position, reach, COD and power radius, as float64; a table of positions joins those of many beacons."""
         return _pack_position(*self.position, self.reach, *self.cod, self.power_radius)
 
@@ -197,7 +197,7 @@ class Gossip(Message, frozen=True, kw_only=True, dict=True, tag="gossip"):
         return self.labels_bytes, self.label_numbers_bytes, len(self.ids_bytes) // 8
 
     @cached_attribute
-    def numbers(self) -> bytes:
+    def table_row(self) -> bytes:
         """The single numbers of the message, `GOSSIP_NUMBERS` of float64; a gossip table joins those of many gossips."""
         (x, y, heading), (east, north), noise = self.pose, self.cod, self.pose_noise or _EXACT
         pose, generator = (x, y, cos(heading), sin(heading)), (east, north, self.power_radius)

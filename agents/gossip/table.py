@@ -57,7 +57,7 @@ COLUMNS = 27
     SIN_LEFT,
     COS_RIGHT,
     SIN_RIGHT,
-) = range(COLUMNS)  # of `Gossip.numbers`, of the sensor, and of the headings to the left and right of a pose that may err
+) = range(COLUMNS)  # of `Gossip.table_row`, of the sensor, and of the headings to the left and right of a pose that may err
 NO_SCAN, WEDGE, OTHER = 0.0, 1.0, 2.0  # kinds of scan: none in this tick, of a wedge, of another sensor
 
 _SENSOR = struct.Struct("<5dQ4d32x")  # the columns from REACH on; the last four are 0 where poses are exact
@@ -104,7 +104,7 @@ class GossipTable:
     @cached_attribute
     def table(self) -> np.ndarray:
         """A row for each (N, COLUMNS): posed sensor, kind and size of its scan, weight of a particle, generator, number of particles."""
-        rows = bytearray().join([part for gossip, sensor in zip(self.gossips, self.sensors) for part in (gossip.numbers, sensor.columns)])
+        rows = bytearray().join([part for gossip, sensor in zip(self.gossips, self.sensors) for part in (gossip.table_row, sensor.columns)])
         table = np.frombuffer(rows).reshape(-1, COLUMNS)
         table[:, KIND] *= table[:, SCANNED]
         if self.config.partition.kind == "voronoi":

@@ -21,13 +21,13 @@ SENSOR_X, SENSOR_Y, SENSOR_REACH, GENERATOR_X, GENERATOR_Y, POWER_RADIUS = range
 
 def gossip_row(gossip: Gossip, sensor: AnnouncedSensor, partition_kind: str) -> bytes:
     """The row of the sender of a gossip, whose generator is that of a diagram."""
-    numbers = gossip.numbers
-    return _row(numbers[:16] + sensor.columns[:8] + numbers[32:56], partition_kind)  # place, reach, COD and power radius
+    row = gossip.table_row
+    return _row(row[:16] + sensor.columns[:8] + row[32:56], partition_kind)  # place, reach, COD and power radius
 
 
 def beacon_row(beacon: Beacon, partition_kind: str) -> bytes:
     """The row of the sender of a beacon, whose generator is that of a diagram."""
-    return _row(beacon.numbers, partition_kind)
+    return _row(beacon.table_row, partition_kind)
 
 
 def _row(row: bytes, partition_kind: str) -> bytes:

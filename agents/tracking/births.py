@@ -32,7 +32,7 @@ class Scan(NamedTuple):
     sensor: SensorModel
     pose: Pose
     detections: np.ndarray  # (M, 2) float64: their places, m
-    numbers: np.ndarray  # (M,) uint64: the index of each detection in the whole scan
+    indices: np.ndarray  # (M,) uint64: the index of each detection in the whole scan
     clutter_density: float  # kappa, per m^2
     rays: np.ndarray | None = None  # (M, 4) of agents/tracking/measurement_likelihood.py; None if these are positions from an exact pose
     pose_noise: tuple[float, float] = EXACT_POSE  # standard deviations of the pose, m on each axis and rad
@@ -49,7 +49,7 @@ class Scan(NamedTuple):
 def near_part(scan: Scan, close: np.ndarray) -> Scan:
     """The scan with the detections chosen by a mask (M,) alone."""
     rays = None if scan.rays is None else scan.rays[close]
-    return scan if close.all() else scan._replace(detections=scan.detections[close], numbers=scan.numbers[close], rays=rays)
+    return scan if close.all() else scan._replace(detections=scan.detections[close], indices=scan.indices[close], rays=rays)
 
 
 def prior_size(filters: FilterSettings, arena: ArenaSettings) -> int:
@@ -167,7 +167,7 @@ def measurement_births(scan: Scan, per_particle: np.ndarray, labels: np.ndarray,
     Ids and offsets from the detection are pure functions of (seed, sensor, detection number, tick, number of the particle).
     """
     settings, noise, count = step.config.filter, step.config.detection.noise, step.config.birth.measurement_particles
-    numbers = np.repeat(scan.numbers * np.uint64(count), count) + np.tile(np.arange(count, dtype=np.uint64), len(scan.numbers))
+    numbers = np.repeat(scan.indices * np.uint64(count), count) + np.tile(np.arange(count, dtype=np.uint64), len(scan.indices))
     ids = scramble(numbers, random_key(settings.seed, "birth", step.tick, scan.salt))
     places = np.repeat(scan.detections, count, axis=0)
     if scan.rays is not None:
@@ -182,5 +182,5 @@ def measurement_births(scan: Scan, per_particle: np.ndarray, labels: np.ndarray,
 
 def founded_labels(scan: Scan, step: Step) -> np.ndarray:
     """The labels (M,) that the detections of a scan found, each from the id of the first of its births."""
-    first = scan.numbers * np.uint64(step.config.birth.measurement_particles)
+    first = scan.indices * np.uint64(step.config.birth.measurement_particles)
     return birth_labels(scramble(first, random_key(step.config.filter.seed, "birth", step.tick, scan.salt)), step.tick)

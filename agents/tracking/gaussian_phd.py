@@ -211,7 +211,7 @@ def _detected(mixture: Mixture, scan: Scan, noise: np.ndarray, step: Step) -> tu
     covariances = before - 0.5 * (taken + taken.transpose(0, 2, 1))
     probability = scan.probability(means[:, :2])
     likelihood = exp_minus(0.5 * squared) / (2.0 * math.pi * np.sqrt(volume))
-    salt = scramble(scan.numbers[columns], random_key(filters.seed, "detected", step.tick, scan.salt))
+    salt = scramble(scan.indices[columns], random_key(filters.seed, "detected", step.tick, scan.salt))
     found = Mixture(mixture.weights[rows], means, covariances, scramble(mixture.ids[rows], salt), mixture.labels[rows])
     return rows, columns, found, mixture.weights[rows] * probability * likelihood
 
@@ -226,7 +226,7 @@ def _births(scan: Scan, noise: np.ndarray, weights: np.ndarray, step: Step) -> M
     covariances = _covariances(len(weights), 0.0, 0.5 * step.config.filter.speed**2)
     covariances[:, :2, :2] = noise
     means = np.concatenate([scan.detections, np.zeros_like(scan.detections)], axis=1)
-    ids = scramble(scan.numbers, random_key(step.config.filter.seed, "birth", step.tick, scan.salt))
+    ids = scramble(scan.indices, random_key(step.config.filter.seed, "birth", step.tick, scan.salt))
     founds = step.config.birth.measurement
     return Mixture(weights, means, covariances, ids, birth_labels(ids, step.tick) if founds else np.zeros_like(ids))
 

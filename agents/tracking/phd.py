@@ -79,7 +79,7 @@ def correct_scan(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """The weights (N,) after one scan, the weight of each copy of a birth at each detection (M,), and the labels of both."""
     noise, settings, birth = step.config.detection.noise, step.config.filter, step.config.birth
-    founded = founded_labels(scan, step) if birth.measurement else np.zeros_like(scan.numbers)
+    founded = founded_labels(scan, step) if birth.measurement else np.zeros_like(scan.indices)
     probability = scan.probability(particles.states[:, :2])
     if scan.rays is not None:
         scan_noise = noise_of(model_of(measurement_of(scan.sensor)), noise, kernel_variance(settings), scan.pose_noise)
