@@ -1,48 +1,23 @@
-"""Platforms of the user's own, the fence, and the tracking layer for robots that cannot move sideways."""
+"""Platforms of the user's own: how they are built, what they may answer, and the contract that they keep."""
 
 import math
 import time
 from typing import Any
 
-import msgspec
 import numpy as np
 import pytest
 
-from covey.examples.robots import INNER, DifferentialDrive
 from deploy.live.platform_check import check_platform
-from deploy.scenario import Scenario, resolve, world_config
+from deploy.scenario import resolve
 from deploy.simulation import Simulation
-from protocol.messages import Command, Gossip, Hello, Observation
-from protocol.node import Alive, Gone, Reopen, Started, Stop, Timer, received
+from protocol.messages import Observation
+from protocol.node import Started, Timer
 from protocol.settings import BadSetting, LimitSettings
-from world.body import Body, check_epoch
-from world.config import WorldConfig
-from world.platform import Simulated, build_platform, fenced, platform_class
-from world.unicycle import twist
+from tests.world.robot import ROBOT, Robot, config, started
+from world.body import Body
+from world.platform import Simulated, build_platform, platform_class
 
 HERE = "tests.world.test_platform"
-LIMITS = LimitSettings(speed=2.0, turn_rate=5.0)
-
-
-class Robot:
-    """A platform that notes what it is told and answers what a test wants."""
-
-    answer: Any = ((5.0, 5.0, 0.0), None)
-    told: list[Any]
-
-    def __init__(self, name: str) -> None:
-        Robot.told = []
-
-    def read(self, tick: int) -> Any:
-        if isinstance(self.answer, Exception):
-            raise self.answer
-        return self.answer
-
-    def drive(self, velocity: tuple[float, float], turn_rate: float) -> None:
-        self.told.append((velocity, turn_rate))
-
-    def stop(self) -> None:
-        self.told.append("stop")
 
 
 class Unstoppable:
@@ -67,35 +42,10 @@ class NeedsAPort:
         pass
 
 
-def config(platform: str = f"{HERE}:Robot", **settings: object) -> WorldConfig:
-    scenario: Scenario = resolve("quick", {"team.composition": "A2", "bodies.host": "own", "bodies.platform": platform, **settings})
-    return world_config(scenario)
-
-
 def test_a_platform_may_get_its_methods_when_it_is_built() -> None:
     body = Body(config(f"{HERE}:GivenItsMethods"), "s1", 1, 100.0)
     body.handle(Started(), 0.0)
     assert body.platform.read(0)[0] == Robot.answer[0]
-
-
-def started(monkeypatch: pytest.MonkeyPatch, answer: Any = ((5.0, 5.0, 0.0), None), **settings: object) -> Body:
-    monkeypatch.setattr(Robot, "answer", answer)
-    body = Body(config(**{"bodies.epoch": 100.0, "run.clock": "realtime", **settings}), "s1", 1, 100.0)
-    body.handle(Started(), 0.0)
-    body.handle(Alive("agent", "s1", 1), 0.0)
-    return body
-
-
-def test_a_body_with_half_a_session_opens_it_anew(monkeypatch: pytest.MonkeyPatch) -> None:
-    """It hears its agent and sees no token, so it would stand for ever."""
-    body = started(monkeypatch)
-    body.handle(Gone("agent", "s1", 1), 0.0)
-    effects = [effect for now in (1.0, 3.0, 5.0, 7.0) for effect in body.handle(received(Hello(sender="s1", incarnation=1)), now)]
-    assert [effect for effect in effects if isinstance(effect, Reopen)] == [Reopen("s1 speaks, but its token has gone")]
-
-
-def command(tick: int, velocity: tuple[float, float] = (1.0, 0.0), incarnation: int = 1) -> Any:
-    return received(Command(sender="s1", incarnation=incarnation, tick=tick, velocity=velocity, turn_rate=0.5))
 
 
 @pytest.mark.parametrize(
@@ -142,7 +92,7 @@ def test_a_wrong_answer_stops_the_platform_and_names_the_class(monkeypatch: pyte
     body = started(monkeypatch, answer)
     with pytest.raises(BadSetting, match=complaint) as refused:
         body.handle(Timer(), 0.0)
-    assert str(refused.value).startswith(f"{HERE}:Robot.read(0)") and "\n" not in str(refused.value)
+    assert str(refused.value).startswith(f"{ROBOT}.read(0)") and "\n" not in str(refused.value)
     assert Robot.told[-1] == "stop"
 
 
@@ -162,173 +112,8 @@ def test_its_places_are_said_as_what_the_sensor_measures(monkeypatch: pytest.Mon
     assert seen.detections == pytest.approx(np.array([[3.0, 0.0], [4.0, 0.5 * math.pi]]), abs=1e-6)
 
 
-def test_without_a_command_for_half_a_second_it_is_stopped_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    body = started(monkeypatch)
-    body.handle(Timer(), 0.0)
-    body.handle(command(0), 0.1)
-    assert Robot.told == [((1.0, 0.0), 0.5)]
-    for now in (0.25, 0.5, 0.59):
-        body.handle(Timer(), now)
-    assert Robot.told == [((1.0, 0.0), 0.5)]
-    assert body.deadline() == pytest.approx(0.6)
-    body.handle(Timer(), 0.6)
-    body.handle(Timer(), 0.75)
-    assert Robot.told[1:] == ["stop"]
-    body.handle(command(3), 0.8)
-    assert Robot.told[2:] == [((1.0, 0.0), 0.5)]
-
-
-def test_a_late_command_drives_a_body_with_a_size_for_two_ticks_from_its_own_and_no_longer(monkeypatch: pytest.MonkeyPatch) -> None:
-    body = started(monkeypatch, **{"limits.radius": 0.25})
-    for now in (0.0, 0.25):
-        body.handle(Timer(), now)
-    body.handle(command(0), 0.4)
-    assert Robot.told == [((1.0, 0.0), 0.5)]
-    body.handle(Timer(), 0.5)
-    assert Robot.told[1:] == ["stop"], "who asked knew no places of later ticks"
-    body.handle(command(1), 0.8)
-    assert Robot.told[2:] == [], "its time is over"
-
-
-def test_in_a_paced_lockstep_a_command_holds_for_the_whole_of_a_long_tick() -> None:
-    settings = {
-        "team.composition": "A1",
-        "bodies.host": "own",
-        "run.clock": "lockstep",
-        "run.max_rate": 0.25,
-        "run.dt": 0.25,
-        "targets.count": 1,
-    }
-    body, now = Body(world_config(resolve("efficacy", settings)), "s1", 1), 0.0
-    body.handle(Started(), now)
-    body.handle(Alive("agent", "s1", 1), now)
-    hello = Hello(sender="s1", incarnation=1, role="agent", software="", sensor_class="A", max_speed=2.0, max_turn_rate=5.0, heard=())
-    body.handle(received(hello), now)
-    while body.tick < 0:
-        now += 0.25
-        body.handle(Timer(), now)
-    start, tick, now = body.pose, body.tick, now + 0.1
-    body.handle(received(Command(sender="s1", incarnation=1, tick=tick, velocity=(1.0, 0.0), turn_rate=0.0)), now)
-    while body.tick == tick:
-        due = body.deadline()
-        assert due is not None
-        now = max(now, due)
-        body.handle(Timer(), now)
-    assert body.pose[0] - start[0] == pytest.approx(0.25)
-
-
-def test_a_command_of_another_life_of_the_agent_moves_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
-    body = started(monkeypatch)
-    body.handle(Timer(), 0.0)
-    body.handle(command(0, incarnation=2), 0.1)
-    body.handle(command(1), 0.1)
-    assert Robot.told == [] and body.ignored_commands == 2
-
-
-def test_a_younger_agent_does_not_drive_on_by_the_command_of_the_older_one(monkeypatch: pytest.MonkeyPatch) -> None:
-    body = started(monkeypatch)
-    body.handle(Timer(), 0.0)
-    body.handle(command(0), 0.1)
-    body.handle(Alive("agent", "s1", 2), 0.15)
-    assert Robot.told[1:] == ["stop"]
-    body.handle(Gone("agent", "s1", 1), 0.2)
-    body.handle(command(0, incarnation=2), 0.2)
-    assert Robot.told[-1] != "stop", "the younger one drives it"
-
-
-def test_no_gossip_of_a_tick_after_the_last_one_ends_a_body(monkeypatch: pytest.MonkeyPatch) -> None:
-    body = started(monkeypatch, **{"run.seconds": 5.0})
-    for event in (Alive("agent", "s2", 1), Alive("body", "s2", 1), Timer()):
-        body.handle(event, 0.0)
-    wrong = Gossip(sender="s2", incarnation=1, tick=20, pose=(1.0, 1.0, 0.0), cod=(1.0, 1.0), power_radius=0.0, unused=0.0)
-    assert body.handle(received(wrong), 0.1) == [] and body.tick == 0
-    body.handle(received(msgspec.structs.replace(wrong, tick=19)), 0.1)
-    assert body.tick == 19
-
-
-def test_a_tick_that_is_left_out_moves_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
-    body = started(monkeypatch)
-    body.handle(Timer(), 0.0)
-    body.handle(command(0), 0.1)
-    body.handle(Timer(), 0.55)  # tick 1 never began
-    assert Robot.told[1:] == ["stop"] and body.tick == 2
-
-
-def test_the_last_tick_stops_the_platform(monkeypatch: pytest.MonkeyPatch) -> None:
-    body = started(monkeypatch, **{"run.seconds": 0.25})
-    body.handle(Timer(), 0.0)
-    assert body.handle(Timer(), 0.25) == [Stop(0, "done")] and Robot.told == ["stop"]
-
-
-def test_the_fence_shortens_what_leads_out_and_leaves_what_leads_back(monkeypatch: pytest.MonkeyPatch) -> None:
-    box = (-1.0, -1.0, 11.0, 11.0)
-    assert fenced((2.0, 1.0), (5.0, 5.0, 0.0), box, 0.5) == (2.0, 1.0)
-    assert fenced((2.0, 1.0), (10.5, 5.0, 0.0), box, 0.5) == (1.0, 1.0)
-    assert fenced((-2.0, 2.0), (-0.5, 10.5, 0.0), box, 0.5) == (-1.0, 1.0)
-    assert fenced((2.0, -2.0), (11.5, -1.5, 0.0), box, 0.5) == (0.0, 0.0)
-    assert fenced((-2.0, 2.0), (11.5, -1.5, 0.0), box, 0.5) == (-2.0, 2.0)
-    body = started(monkeypatch, ((43.0, 5.0, 0.0), None), **{"bodies.fence": 3.0, "arena.width": 40.0})
-    body.handle(Timer(), 0.0)
-    body.handle(command(0), 0.1)
-    assert Robot.told == [((0.0, 0.0), 0.5)]
-
-
-def test_the_fence_holds_in_a_run_that_is_faster_than_its_world(monkeypatch: pytest.MonkeyPatch) -> None:
-    """At rate 8 a simulated body moves for 8 s of the world in the second for which a command counts."""
-    body = started(monkeypatch, ((39.0, 5.0, 0.0), None), **{"bodies.fence": 1.0, "arena.width": 40.0, "bodies.hold": 1.0, "run.rate": 8.0})
-    body.handle(Timer(), 0.0)
-    body.handle(command(0), 0.01)
-    assert Robot.told == [((0.25, 0.0), 0.5)]
-
-
-def test_an_epoch_that_lies_too_far_ahead_is_refused() -> None:
-    settings = config(**{"bodies.epoch": 1000.0, "run.clock": "realtime"})
-    check_epoch(settings, 941.0)
-    with pytest.raises(BadSetting, match=r"bodies.epoch = 1000.000: lies 100 s ahead of this machine's clock; should be at most 60 s"):
-        check_epoch(settings, 900.0)
-
-
-# ---------------------------------------------------------------------- robots that cannot move sideways
-
-
-def test_ahead_of_the_axle_a_point_moves_in_any_direction() -> None:
-    for heading in np.linspace(-3.0, 3.0, 13):
-        forward, turn = twist(heading, (0.3, -0.2), 0.5, LIMITS)
-        east, north = math.cos(heading), math.sin(heading)
-        moved = forward * east - 0.5 * turn * north, forward * north + 0.5 * turn * east
-        assert moved == pytest.approx((0.3, -0.2), abs=1e-12)
-
-
-def test_limits_shorten_the_motion_and_keep_its_direction() -> None:
-    assert twist(0.0, (0.0, 2.0), 0.2, LIMITS) == pytest.approx((0.0, 5.0))
-    assert twist(0.0, (4.0, 1.0), 0.5, LIMITS) == pytest.approx((2.0, 1.0))
-    assert twist(1.0, (1.0, 1.0), 0.5, LimitSettings(speed=0.0, turn_rate=5.0)) == (0.0, 0.0)
-
-
-def test_the_error_over_a_tick_is_as_stated() -> None:
-    """A course that changes every second, within the limits: at most |velocity| dt turn_rate h / 2 off it in a tick, and never faster."""
-    rng, robot = np.random.default_rng(7), DifferentialDrive("s1", {"s1": (0.0, 0.0, 0.0)})
-    (x, y, _), _ = robot.read(0)
-    worst, tick, slow = -math.inf, 0, []
-    for _ in range(300):
-        course, speed = rng.uniform(-math.pi, math.pi), rng.uniform(0.5, 2.0)
-        for _ in range(4):
-            robot.drive((speed * math.cos(course), speed * math.sin(course)), 0.0)
-            tick += 1
-            (x1, y1, _), _ = robot.read(tick)
-            along = (x1 - x) * math.cos(course) + (y1 - y) * math.sin(course)
-            across = (y1 - y) * math.cos(course) - (x1 - x) * math.sin(course)
-            worst = max(worst, abs(across) - speed * 0.25 * 5.0 * INNER / 2.0)
-            slow.append(along / (speed * 0.25))
-            x, y = x1, y1
-    print(f"margin {-1000 * worst:.2f} mm; share of the way {min(slow):.2f} to {max(slow):.2f}, median {np.median(slow):.3f}")
-    assert worst <= 0.0
-    assert min(slow) >= 0.2 * 5.0 / 2.0 - 0.05 and max(slow) <= 1.0 + 1e-9
-    assert np.median(slow) >= 0.98
-
-
 def test_a_simulated_body_stands_where_the_last_tick_has_left_it() -> None:
-    body = Simulated((1.0, 1.0, 0.0), 0.25, LIMITS)
+    body = Simulated((1.0, 1.0, 0.0), 0.25, LimitSettings(speed=2.0, turn_rate=5.0))
     body.drive((1.0, 0.0), 0.0)
     assert body.read(2)[0] == (1.5, 1.0, 0.0)
     body.stop()
@@ -441,23 +226,3 @@ def test_the_contract_is_kept_by_the_example_and_broken_by_a_robot_that_does_not
     assert all(kept for _, kept in check_platform("s1", example))
     broken = [rule for rule, kept in check_platform("s1", config(f"{HERE}:Runaway")) if not kept]
     assert broken[-1] == "0.5 s after stop it stands (within 0.02 m)"
-
-
-def test_a_late_loss_of_an_old_body_takes_its_successor_not_out_of_the_ring_of_the_clock(monkeypatch: pytest.MonkeyPatch) -> None:
-    body = started(monkeypatch)
-    for event in (Alive("agent", "s2", 1), Alive("body", "s2", 1), Alive("body", "s2", 2), Gone("body", "s2", 1)):
-        body.handle(event, 0.1)
-    assert body._ring == ("s2",)
-    body.handle(Gone("body", "s2", 2), 0.2)
-    assert body._ring == ()
-
-
-def test_a_body_in_lockstep_keeps_a_pause_that_is_longer_than_its_patience() -> None:
-    paced = {"run.clock": "lockstep", "run.max_rate": 0.1, "run.patience": 0.5, "run.start_timeout": 1.0}
-    body = Body(config("simulated", **paced), "s1", 1)
-    for event in (Started(), Alive("agent", "s1", 1), received(Hello(sender="s1", incarnation=1))):
-        body.handle(event, 100.0)
-    body.handle(Timer(), 102.0)
-    body.handle(Timer(), 102.5)
-    assert body.tick == 1 and body._waiting
-    assert body.deadline() == 102.0 + body._pause == 104.5
