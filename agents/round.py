@@ -16,7 +16,7 @@ from agents.backend import Backend
 from agents.batched_round import batched_round
 from agents.config import AgentConfig
 from agents.coverage.capacity import power_radius, unused_capacity
-from agents.coverage.control import STAND, ControlInput, ControlLaw, Intent, Situation, Surroundings
+from agents.coverage.control import STAND, ControlInput, ControlLaw, Intent, Situation, Surroundings, middle_of
 from agents.coverage.laws import control_law
 from agents.coverage.search_and_track import SearchAndTrack
 from agents.gossip.table import REACH, AnnouncedSensor, GossipTable, announced_sensor, gossip_table
@@ -28,7 +28,7 @@ from agents.tracking.extraction import NO_ESTIMATES, TargetEstimates
 from agents.tracking.gaussian_belief import MixturePhd
 from agents.tracking.step import Step
 from agents.tracking.tracker import Belief, KnownDiagram, RegionInput, RegionUpdate, Tracker
-from protocol.geometry import EMPTY, distances, polygon_centroid, rectangle
+from protocol.geometry import EMPTY, distances, rectangle
 from protocol.keys import order
 from protocol.messages import Gossip
 from protocol.sensing import Pose, SensorModel
@@ -239,16 +239,6 @@ def _own_cell(context: AgentContext, generator_table: GossipTable, unsubscribed:
     return cell.polygon, make_claim(tuple([names[bound] for bound in cell.bounding]), generators[[*cell.bounding]])
 
 
-def _centroid(update: RegionUpdate, cell: np.ndarray) -> tuple[float, float] | None:
-    """The centroid in m of the PHD in the cell (17). Without mass it is that of the cell's area; None without a cell."""
-    if update.mass > 0.0:
-        return update.moment_x / update.mass, update.moment_y / update.mass
-    if not len(cell):
-        return None
-    x, y = polygon_centroid(cell)
-    return float(x), float(y)
-
-
 def _situation(
     context: AgentContext, own: Gossip, cell: np.ndarray, update: RegionUpdate, generator_table: GossipTable, table: GossipTable, ticks: int
 ) -> Situation:
@@ -262,7 +252,7 @@ def _situation(
         pose=own.pose,
         control_point=own.pose[:2] if config.partition.kind == "voronoi" else own.cod,
         cell=cell,
-        centroid=_centroid(update, cell),
+        centroid=(update.moment_x / update.mass, update.moment_y / update.mass) if update.mass > 0.0 else middle_of(cell),  # (17)
         particles=context.tracker.weighted_points(update.own),
         sensor=context.sensor,
         limits=config.limits,

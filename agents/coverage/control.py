@@ -82,10 +82,8 @@ class UniformDensity:
     """Lloyd's algorithm for a uniform density: drives to the centroid of the area of the own cell."""
 
     def command(self, situation: Situation) -> ControlInput:
-        if not len(situation.cell):
-            return STAND
-        x, y = polygon_centroid(situation.cell)
-        return approach(situation, (float(x), float(y)))
+        middle = middle_of(situation.cell)
+        return approach(situation, middle) if middle else STAND
 
 
 class Static:
@@ -103,6 +101,14 @@ class RandomWalk:
         bits = random_key(situation.seed, "waypoint", situation.name, leg)
         goal = ((bits >> 32) * 2.0**-32 * situation.arena[0], (bits & 0xFFFFFFFF) * 2.0**-32 * situation.arena[1])
         return approach(situation, goal)
+
+
+def middle_of(cell: np.ndarray) -> tuple[float, float] | None:
+    """The centroid of the area of a cell (V, 2), m; None without a cell."""
+    if not len(cell):
+        return None
+    x, y = polygon_centroid(cell).tolist()
+    return x, y
 
 
 def approach(situation: Situation, goal: tuple[float, float]) -> ControlInput:

@@ -13,10 +13,10 @@ import numpy as np
 
 from agents.coverage.capacity import sensor_facts
 from agents.coverage.cells import power_cell
-from agents.coverage.control import STAND, ControlInput, Situation
+from agents.coverage.control import STAND, ControlInput, Situation, middle_of
 from agents.tracking.particles import total
 from protocol.arithmetic import elementwise
-from protocol.geometry import polygon_centroid, rectangle, wrap_angle
+from protocol.geometry import rectangle, wrap_angle
 from protocol.pose import clip
 
 HEADING_COUNT = 37  # compared headings, between the reachable extremes
@@ -79,11 +79,7 @@ def _goal(situation: Situation, ages: np.ndarray) -> tuple[float, float] | None:
     if situation.own_generator < 0:
         return None
     arena, points = rectangle(*situation.arena), situation.generators
-    cell = power_cell(situation.own_generator, points, np.zeros(len(points)), arena)
-    if not len(cell):
-        return None
-    x, y = polygon_centroid(cell)
-    return float(x), float(y)
+    return middle_of(power_cell(situation.own_generator, points, np.zeros(len(points)), arena))
 
 
 def _lead(place: tuple[float, float], goal: tuple[float, float], offset: float, situation: Situation) -> tuple[float, float]:
