@@ -267,6 +267,5 @@ def _situation(
 
 def _nearby_sensors(context: AgentContext, cell: np.ndarray, table: GossipTable) -> tuple[tuple[SensorModel, Pose], ...]:
     """Sensor and pose of each agent that scanned in this tick and reaches the surroundings of the cell."""
-    scanned = [(each.sensor, gossip.pose) for each, gossip in zip(table.sensors, table.gossips) if gossip.scanned]
-    apart = distances(cell, np.array([pose for _, pose in scanned]).reshape(-1, 3)).tolist()
-    return tuple(field for field, distance in zip(scanned, apart) if distance <= context.config.filter.halo + field[0].reach)
+    apart = distances(cell, np.array([pose for _, pose in table.views]).reshape(-1, 3)).tolist()
+    return tuple(field for field, distance in zip(table.views, apart) if distance <= context.config.filter.halo + field[0].reach)

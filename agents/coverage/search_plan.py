@@ -19,7 +19,7 @@ from agents.config import SearchSettings
 from agents.gossip.table import GossipTable
 from agents.tracking.particles import Particles, mirrored, select, total
 from protocol.arithmetic import exp_minus
-from protocol.sensing import Pose, SensorModel, WedgeSensor
+from protocol.sensing import SensorModel, WedgeSensor
 
 REACH_MARGIN = 0.75  # bins of the reach that a goal leaves for the motion of the targets
 LEAST_RADIUS = 0.5  # of a circle, bins
@@ -126,14 +126,9 @@ def mark_view(seen: np.ndarray, table: GossipTable, now: float, side: float) -> 
     """The times of the last sight of all bins, after the scans of a tick: those with their centre in a field of view are seen `now`."""
     rows, columns = np.indices(seen.shape)
     centres, found = np.column_stack([(columns.ravel() + 0.5) * side, (rows.ravel() + 0.5) * side]), seen.copy()
-    for sensor, pose in _views(table):
+    for sensor, pose in table.views:
         found.ravel()[sensor.probability(centres, pose) > 0.0] = now
     return found
-
-
-def _views(table: GossipTable) -> list[tuple[SensorModel, Pose]]:
-    """Sensors and poses of the agents that scanned."""
-    return [(each.sensor, gossip.pose) for each, gossip in zip(table.sensors, table.gossips) if gossip.scanned]
 
 
 def _seen_at(seen: np.ndarray, x: np.ndarray, y: np.ndarray, side: float) -> np.ndarray:
@@ -253,7 +248,7 @@ def last_sight(around: Particles, task: Task, memory: Memory, seen: np.ndarray) 
     if len(memory.ids):
         places = np.minimum(np.searchsorted(memory.ids, around.ids), len(memory.ids) - 1)
         last = np.where(memory.ids[places] == around.ids, memory.last[places], last)
-    for sensor, pose in _views(task.table):
+    for sensor, pose in task.table.views:
         last[sensor.probability(around.states[:, :2], pose) > 0.0] = now
     return last
 

@@ -26,7 +26,7 @@ from protocol.gaussian_components import COMPONENT
 from protocol.measuring import to_places
 from protocol.messages import Gossip
 from protocol.random_streams import random_key
-from protocol.sensing import SensorModel, WedgeSensor, measurement_of
+from protocol.sensing import Pose, SensorModel, WedgeSensor, measurement_of
 
 COLUMNS = 27
 (
@@ -202,6 +202,11 @@ class GossipTable:
     def listening(self) -> bool:
         """Whether a sender listens, and has no cell yet."""
         return True in [gossip.listening for gossip in self.gossips]
+
+    @cached_attribute
+    def views(self) -> list[tuple[SensorModel, Pose]]:
+        """Sensor and pose of each agent that scanned."""
+        return [(each.sensor, gossip.pose) for each, gossip in zip(self.sensors, self.gossips) if gossip.scanned]
 
     @cached_attribute
     def all_wedges(self) -> bool:

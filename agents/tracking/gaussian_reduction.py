@@ -10,7 +10,7 @@ import numpy as np
 from agents.config import MixtureSettings
 from agents.tracking.extraction import DETAILS, TargetEstimates
 from agents.tracking.gaussians import Mixture, factors, largest_variances
-from agents.tracking.labels import name_peaks, weight_by_label
+from agents.tracking.labels import heaviest_label, name_peaks, weight_by_label
 from agents.tracking.particles import join, select, total
 from protocol.gaussian_components import MOST_OWN_MASS
 
@@ -155,5 +155,5 @@ def estimate_and_label(mixture: Mixture, threshold: float, beside: float, radius
     labels = mixture.labels.copy()
     for near, vote, label in zip(members, votes, given):
         if vote and label not in vote:
-            labels[near[labels[near] == max(vote, key=lambda one: (vote[one], -one))]] = label
+            labels[near[labels[near] == heaviest_label(vote)]] = label
     return TargetEstimates(rows[:, :2], rows[:, 2:], np.array(given, dtype=np.uint64)), mixture._replace(labels=labels)

@@ -59,8 +59,13 @@ def weight_by_label(labels: np.ndarray, weights: np.ndarray) -> dict[int, float]
 def heaviest(labels: np.ndarray, weights: np.ndarray) -> tuple[int, float]:
     """The label other than 0 with the most weight, the smallest of equals, and its weight; (0, 0.0) if there is none."""
     found = weight_by_label(labels, weights)
-    label = max(found, key=lambda label: (found[label], -label), default=NO_LABEL)
+    label = heaviest_label(found)
     return label, found.get(label, 0.0)
+
+
+def heaviest_label(weights: dict[int, float]) -> int:
+    """The label with the most weight, the smallest of equals; 0 without any."""
+    return max(weights, key=lambda label: (weights[label], -label), default=NO_LABEL)
 
 
 def mean_positions(particles: Particles) -> dict[int, tuple[float, float]]:
@@ -112,10 +117,10 @@ def name_peaks(
                 del free[label]
     taken, derived = {*given}, Counter[int]()
     for number, peak in enumerate(peaks):
-        heaviest = min(((-weight, label) for label, weight in peak.items()), default=(0.0, NO_LABEL))[1]
+        old = heaviest_label(peak)
         while given[number] == NO_LABEL and peak:  # what was derived from a label before is taken
-            derived[heaviest] += 1
-            label = derived_label(heaviest, derived[heaviest])
+            derived[old] += 1
+            label = derived_label(old, derived[old])
             if label not in taken:
                 given[number] = label
                 taken.add(label)
