@@ -49,7 +49,7 @@ def batched_round(table: GossipTable, backend: Backend, tracker: Tracker, step: 
 
 def _computed(table: GossipTable, backend: Backend, tracker: Tracker, step: Step, arena: np.ndarray) -> BatchedRound:
     """All regions of a table and their updates."""
-    cells = backend.cut_cells(range(len(table.names)), table.points, table.radii, arena)
+    cells = backend.cut_cells(range(len(table.names)), table.generators, arena)
     regions = [
         RegionInput(gossip.sender, row, announced.sensor, gossip.pose, cell.polygon, claim_of(cell, table.names, table.generators))
         for row, (gossip, announced, cell) in enumerate(zip(table.gossips, table.sensors, cells))

@@ -233,8 +233,7 @@ def _own_cell(context: AgentContext, generator_table: GossipTable, unsubscribed:
     if context.name not in generator_table.names:
         return EMPTY, NO_CLAIM
     generators = np.concatenate([generator_table.generators, unsubscribed.generators])
-    points, radii = generators[:, :2].copy(), generators[:, 2].copy()
-    cell = context.backend.cut_cells([generator_table.names.index(context.name)], points, radii, context.arena)[0]
+    cell = context.backend.cut_cells([generator_table.names.index(context.name)], generators, context.arena)[0]
     names = (*generator_table.names, *unsubscribed.names())
     return cell.polygon, make_claim(tuple([names[bound] for bound in cell.bounding]), generators[[*cell.bounding]])
 

@@ -45,8 +45,9 @@ from protocol.sensing import WedgeSensor
 from protocol.settings import ArenaSettings
 
 
-def cut_cells(indices: Sequence[int], points: np.ndarray, radii: np.ndarray, arena: np.ndarray) -> list[Cell]:
+def cut_cells(indices: Sequence[int], generators: np.ndarray, arena: np.ndarray) -> list[Cell]:
     """See `cells.cut_cells`."""
+    points, radii = generators[:, :2].copy(), generators[:, 2].copy()
     corners, bounds, starts = cell_kernels.cut_cells(np.array(indices, dtype=np.int64), points, radii, arena)
     chosen, places = bounds.tolist(), starts.tolist()
     return [

@@ -64,9 +64,9 @@ def cut(index: int, points: np.ndarray, radii: np.ndarray, arena: np.ndarray) ->
     return Cell(np.array(corners) + points[index], tuple(bounds))
 
 
-def cut_cells(indices: Sequence[int], points: np.ndarray, radii: np.ndarray, arena: np.ndarray) -> list[Cell]:
-    """The power cells (15) of the generators `indices`, each as by `cut`."""
-    return [cut(index, points, radii, arena) for index in indices]
+def cut_cells(indices: Sequence[int], generators: np.ndarray, arena: np.ndarray) -> list[Cell]:
+    """The power cells (15) of the generators `indices` among several (N, 3), x, y and power radius in m, each as by `cut`."""
+    return [cut(index, generators[:, :2], generators[:, 2], arena) for index in indices]
 
 
 def _bisectors(index: int, points: np.ndarray, radii: np.ndarray) -> tuple[list[int], list[float], list[list[float]]]:

@@ -151,11 +151,6 @@ class GossipTable:
         return self.generators[:, :2].copy()
 
     @cached_attribute
-    def radii(self) -> np.ndarray:
-        """The power radii of the generators (N,), m."""
-        return self.generators[:, 2].copy()
-
-    @cached_attribute
     def diagram_hash(self) -> int:
         """The hash of all generators; never 0. Agents with equal hashes cut the same diagram."""
         digest = hashlib.blake2b("\n".join(self.names).encode(), digest_size=7)

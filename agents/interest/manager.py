@@ -124,8 +124,7 @@ class InterestManager:
     def _first_cell(self, own: Beacon, tick: int) -> np.ndarray:
         """The cell (V, 2) m that the known generators leave to this agent."""
         generators = self._table(own, tick)[:, GENERATOR_X : POWER_RADIUS + 1]
-        points, radii = generators[:, :2].copy(), generators[:, 2].copy()
-        return self._context.backend.cut_cells([len(radii) - 1], points, radii, self._context.arena)[0].polygon
+        return self._context.backend.cut_cells([len(generators) - 1], generators, self._context.arena)[0].polygon
 
     def _table(self, own: Beacon, tick: int) -> np.ndarray:
         """The positions of peers (`PositionTable.table`), after those without a recent beacon are forgotten."""

@@ -39,9 +39,9 @@ def measure() -> list[BenchRow]:
     rows: list[BenchRow] = []
     for count, side in ((48, 100.0), (1000, 456.0)):
         points, radii = generators(count, side)
-        arena = rectangle(side, side)
-        ours = median_seconds(lambda p=points, r=radii, a=arena: compiled().cut_cells(range(len(r)), p, r, a))  # type: ignore[misc]
-        plain = median_seconds(lambda p=points, r=radii, a=arena: PLAIN.cut_cells(range(len(r)), p, r, a), batches=1)  # type: ignore[misc]
+        arena, diagram = rectangle(side, side), np.column_stack([points, radii])
+        ours = median_seconds(lambda g=diagram, a=arena: compiled().cut_cells(range(len(g)), g, a))  # type: ignore[misc]
+        plain = median_seconds(lambda g=diagram, a=arena: PLAIN.cut_cells(range(len(g)), g, a), batches=1)  # type: ignore[misc]
         row = {"what": f"all {count} power cells", "ours, ms": 1000.0 * ours, "plain numpy, ms": 1000.0 * plain}
         if count <= 48:
             theirs = median_seconds(lambda p=points, r=radii, a=arena: by_shapely(p, r, a), batches=1)  # type: ignore[misc]

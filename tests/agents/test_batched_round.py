@@ -45,7 +45,7 @@ def test_the_first_that_asks_computes_its_region_alone_and_the_others_share_all(
     assert asked(table, config) is None
     shared = asked(table, config)
     assert isinstance(shared, BatchedRound) and asked(table, config) is asked(table, config) is shared
-    cells = PLAIN.cut_cells(range(3), table.points, table.radii, ARENA)
+    cells = PLAIN.cut_cells(range(3), table.generators, ARENA)
     assert [region.polygon.tolist() for region in shared.regions] == [cell.polygon.tolist() for cell in cells]
     assert [region.claim.names[0] for region in shared.regions] == [region.owner for region in shared.regions] == ["s1", "s2", "s3"]
     assert len(shared.updates) == 3

@@ -138,7 +138,7 @@ def test_a_backend_has_at_most_eight_functions_and_that_of_the_search() -> None:
 def test_cut_cells(seed: int, count: int) -> None:
     points, radii = diagram(np.random.default_rng(seed), count)
     for indices in (range(count), [count - 1], [], [0, 0]):
-        assert_same("cut_cells", indices, points, radii, BOX)
+        assert_same("cut_cells", indices, np.column_stack([points, radii]), BOX)
 
 
 @given(seeds, st.integers(1, 14), st.integers(0, 50))
@@ -370,7 +370,7 @@ def test_an_agent_that_hears_a_part_reads_no_gossip_of_what_is_far() -> None:
 
 
 def cells_of(generators: np.ndarray) -> list[Cell]:
-    return PLAIN.cut_cells(range(len(generators)), generators[:, :2].copy(), generators[:, 2].copy(), BOX)
+    return PLAIN.cut_cells(range(len(generators)), generators, BOX)
 
 
 def test_nothing_at_all() -> None:
