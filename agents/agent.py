@@ -53,12 +53,12 @@ class Agent(Node):
         self.counters: Counter[str] = Counter()
         self.peer_table = PeerTable(config, name)
         self.tick = -1  # of the newest observation; -1: none has come
-        self.context = context_of(config, name, self.sensor_class, backend)
+        self.context = context_of(config, name, self.sensor_class, backend, incarnation)
         self.neighbours_only = self.peer_table.neighbours_only
         self.sees_all_tokens = not self.neighbours_only
-        self._interest = InterestManager(self.context, self.peer_table, incarnation) if self.neighbours_only else None
+        self._interest = InterestManager(self.context, self.peer_table) if self.neighbours_only else None
         self.outcome = result_at_start(self.context, NOWHERE if self.neighbours_only else None)
-        self.membership = Membership(self.context, incarnation, self.peer_table, self.counters)
+        self.membership = Membership(self.context, self.peer_table, self.counters)
         self._observation: Observation | None = None  # of the open tick
         self._gossip: Gossip | None = None  # the own one of the open tick; None: no tick is open
         self._rounds = OpenRounds(self.context)
@@ -184,7 +184,7 @@ class Agent(Node):
         observations, self._gossip_free = self._gossip_free, []
         effects: list[Effect] = []
         for observation in observations:
-            own = unsent_gossip(self.context, self.incarnation, self.outcome, observation, self._own_pose.noise)
+            own = unsent_gossip(self.context, self.outcome, observation, self._own_pose.noise)
             if is_claim_valid(self.config, self.outcome.belief, own.tick, self._pace.current):
                 steers = self._pace.has_time and observation is observations[-1]
                 ticks = self._ticks_to_last(own.tick) if steers else 0
@@ -210,7 +210,7 @@ class Agent(Node):
             return []
         self._estimated = own.tick
         counters, seconds, pace = self.counters, self._round_seconds, self._pace.current
-        return [message_builders.estimate(self.context, self.incarnation, outcome, own, counters, seconds, pace)]
+        return [message_builders.estimate(self.context, outcome, own, counters, seconds, pace)]
 
     def _ticks_to_last(self, tick: int) -> int:
         """About how long a command of a tick will last: as long as nothing was played before it, at most the pace. 0: it has been given."""
@@ -229,25 +229,17 @@ class Agent(Node):
             seconds = self.config.run.dt * self._pace.current
             command = keep_apart(command, observation.pose[:2], others, self.config.limits, seconds)
         self._own_pose.note_command(command, observation.tick)
-        return [message_builders.command(self.context, self.incarnation, command, observation.tick)]
+        return [message_builders.command(self.context, command, observation.tick)]
 
     def _open_round(self, observation: Observation, now: float) -> list[Effect]:
         """Open the round: publish the own gossip, and determine which gossips it waits for."""
         self._pace.open(self.tick, now)
         self._measure_busy_time(now)
         self._keep_claim(observation)
-        listening, need, lag = bool(self._listening), self._pace.need, self._rounds.lag.need
+        listening, need, lag, noise = bool(self._listening), self._pace.need, self._rounds.lag.need, self._own_pose.noise
         behind = self._rounds.behind(self.tick, self.outcome.belief.tick)
         own = self._gossip = message_builders.gossip(
-            self.context,
-            self.incarnation,
-            self.outcome,
-            observation,
-            listening=listening,
-            pace=need,
-            behind=behind,
-            lag=lag,
-            pose_noise=self._own_pose.noise,
+            self.context, self.outcome, observation, listening=listening, pace=need, behind=behind, lag=lag, pose_noise=noise
         )
         self._rounds.open(own, self.outcome.belief, now)
         self._await()
@@ -266,7 +258,7 @@ class Agent(Node):
         """Keep the claim over ticks of which nothing was seen, as long as peers keep the generator of the silent agent."""
         all_played = self._health.is_measuring and not self._rounds
         if all_played and is_claim_valid(self.config, self.outcome.belief, self.tick - 1, self._pace.current):
-            own = unsent_gossip(self.context, self.incarnation, self.outcome, observation, self._own_pose.noise)
+            own = unsent_gossip(self.context, self.outcome, observation, self._own_pose.noise)
             self.outcome = predict_missed_ticks(self.context, self.outcome, own, self._pace.current)
 
     def _join(self, now: float) -> list[Effect]:

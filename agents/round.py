@@ -38,7 +38,7 @@ COPY_HORIZON = 40.0  # m around the own cell; with neighbours only, an agent tha
 
 
 class AgentContext(NamedTuple):
-    """What stays the same in all rounds of an agent: its name, sensor, settings, control law, backend and tracker."""
+    """What stays the same in all rounds of an agent: its name, incarnation, sensor, settings, control law, backend and tracker."""
 
     name: str
     sensor: SensorModel
@@ -49,16 +49,18 @@ class AgentContext(NamedTuple):
     config: AgentConfig
     arena: np.ndarray  # corners (4, 2), m
     sensor_class: str
+    incarnation: int = 1
 
 
-def context_of(config: AgentConfig, name: str, sensor_class: str, backend: Backend) -> AgentContext:
+def context_of(config: AgentConfig, name: str, sensor_class: str, backend: Backend, incarnation: int = 1) -> AgentContext:
     """The context of the agent `name` with a sensor of that class. Raises BadSetting for a class that is unknown or cannot be used."""
     sensor, corners = sensor_of(config, sensor_class), rectangle(config.arena.width, config.arena.height)
     if reason := config.why_not(sensor):
         raise BadSetting(f"sensors.{sensor_class}.{reason}")
     tracker: Tracker = MixturePhd(backend) if config.filter.kind == "gaussian-mixture" else ParticlePhd(backend)
     announced = announced_sensor(name, sensor, config.detection.clutter)
-    return AgentContext(name, sensor, announced, control_law(config, backend), backend, tracker, config, corners, sensor_class)
+    law = control_law(config, backend)
+    return AgentContext(name, sensor, announced, law, backend, tracker, config, corners, sensor_class, incarnation)
 
 
 class RoundCell(NamedTuple):

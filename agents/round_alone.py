@@ -19,13 +19,11 @@ from protocol.message import Vector
 from protocol.messages import Gossip, Observation
 
 
-def unsent_gossip(
-    context: AgentContext, incarnation: int, last: RoundResult, observation: Observation, pose_noise: Vector | None
-) -> Gossip:
+def unsent_gossip(context: AgentContext, last: RoundResult, observation: Observation, pose_noise: Vector | None) -> Gossip:
     """A gossip with the pose and the scan of an observation alone, which nobody is sent."""
     return Gossip(
         sender=context.name,
-        incarnation=incarnation,
+        incarnation=context.incarnation,
         tick=observation.tick,
         pose=observation.pose,
         cod=to_world(context.announced.facts.cod_offset, observation.pose),

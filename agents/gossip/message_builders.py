@@ -17,11 +17,11 @@ from protocol.sensing import WedgeSensor
 VERSION = "0.1.0"
 
 
-def hello(context: AgentContext, incarnation: int, heard: tuple[str, ...], settings: SharedSettings) -> Hello:
+def hello(context: AgentContext, heard: tuple[str, ...], settings: SharedSettings) -> Hello:
     """The Hello of an agent: its sensor, its settings, and `heard`, the names of the peers that it hears."""
     return Hello(
         sender=context.name,
-        incarnation=incarnation,
+        incarnation=context.incarnation,
         software=f"covey {VERSION}",
         sensor_class=context.sensor_class,
         sensor=context.sensor if isinstance(context.sensor, WedgeSensor) else None,
@@ -35,7 +35,6 @@ def hello(context: AgentContext, incarnation: int, heard: tuple[str, ...], setti
 
 def gossip(
     context: AgentContext,
-    incarnation: int,
     outcome: RoundResult,
     observation: Observation,
     *,
@@ -57,7 +56,7 @@ def gossip(
         plan = {"goal": outcome.intent.goal, "goal_utilisation": min(outcome.intent.utilisation, LARGEST_NUMBER)}
     return Gossip(
         sender=context.name,
-        incarnation=incarnation,
+        incarnation=context.incarnation,
         tick=observation.tick,
         pose=observation.pose,
         cod=to_world(context.announced.facts.cod_offset, observation.pose),
@@ -94,15 +93,14 @@ def _claim_ages(outcome: RoundResult) -> bytes:
     return found if any(found) else b""
 
 
-def command(context: AgentContext, incarnation: int, motion: ControlInput, tick: int) -> Command:
+def command(context: AgentContext, motion: ControlInput, tick: int) -> Command:
     """The command to the own body after the round `tick`."""
     velocity, turn_rate = motion
-    return Command(sender=context.name, incarnation=incarnation, tick=tick, velocity=velocity, turn_rate=turn_rate)
+    return Command(sender=context.name, incarnation=context.incarnation, tick=tick, velocity=velocity, turn_rate=turn_rate)
 
 
 def estimate(
     context: AgentContext,
-    incarnation: int,
     outcome: RoundResult,
     sent: Gossip,
     counters: Mapping[str, int],
@@ -112,7 +110,7 @@ def estimate(
     """The estimate for observers: a result for the tick of the own gossip `sent`, and what the last shared round cost."""
     return Estimate(
         sender=context.name,
-        incarnation=incarnation,
+        incarnation=context.incarnation,
         tick=sent.tick,
         pose=sent.pose,
         cod=sent.cod,

@@ -48,12 +48,12 @@ LINGER_SECONDS = 4.0  # s of world time that a subscription outlives the need of
 class InterestManager:
     """The subscriptions of one agent to the gossips, tokens and beacons of others."""
 
-    def __init__(self, context: AgentContext, peer_table: PeerTable, incarnation: int) -> None:
+    def __init__(self, context: AgentContext, peer_table: PeerTable) -> None:
         config = context.config
         self._settings = peer_table.agreement.digest
         self.settled = False  # the first selection is made and the others have had the time to make theirs
         self.due: float | None = None  # when to call `on_timer`
-        self._context, self._peer_table, self._incarnation = context, peer_table, incarnation
+        self._context, self._peer_table = context, peer_table
         self._tiling = Tiling(config.timing.tile, config.arena)
         drift = BEACON_JUMP + config.limits.speed * config.run.dt
         self._ground = Ground(context.arena, context.announced.bounds, drift)
@@ -204,7 +204,7 @@ class InterestManager:
         widest = self._ground.bounds
         return Beacon(
             sender=context.name,
-            incarnation=self._incarnation,
+            incarnation=context.incarnation,
             tick=tick,
             position=pose[:2],
             cod=to_world(context.announced.facts.cod_offset, pose),

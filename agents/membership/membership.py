@@ -22,14 +22,14 @@ EXIT_FENCED = 3
 class Membership:
     """The tokens and Hellos that concern one agent. Times are `now` of its node, s."""
 
-    def __init__(self, context: AgentContext, incarnation: int, peer_table: PeerTable, counters: Counter[str]) -> None:
+    def __init__(self, context: AgentContext, peer_table: PeerTable, counters: Counter[str]) -> None:
         """`counters`: those of the agent."""
         others, neighbours_only = context.config.others(context.name), peer_table.neighbours_only
         self.session_watchdog = SessionWatchdog(context.name, ["world"] if neighbours_only else [*others, "world"])
         self.announcements = AnnouncementSchedule(0 if neighbours_only else len(others), peer_table.is_roster_alive)
         self.world_incarnation = 0
         self._warned: set[tuple[str, int]] = set()  # names and incarnations of older peers
-        self._context, self._incarnation, self._peer_table, self._counters = context, incarnation, peer_table, counters
+        self._context, self._peer_table, self._counters = context, peer_table, counters
         self._bodies = BodyTokens(peer_table)
 
     def alive(self, event: Alive, now: float) -> list[Effect]:
@@ -117,7 +117,7 @@ class Membership:
 
     def fence(self, incarnation: int) -> list[Effect]:
         """Stop if another process with the same name has a younger incarnation."""
-        if incarnation > self._incarnation:
+        if incarnation > self._context.incarnation:
             return [Stop(EXIT_FENCED, f"a younger incarnation {incarnation} of {self._context.name} is alive")]
         return NO_EFFECTS
 
@@ -125,4 +125,4 @@ class Membership:
         """The Hello of this agent at `now`; None, before the first observation: it lists all peers that ever sent a Hello and are alive."""
         self.session_watchdog.keep(self._peer_table.peers)
         heard, settings = self.session_watchdog.heard(now), self._peer_table.agreement.settings
-        return message_builders.hello(self._context, self._incarnation, heard, settings)
+        return message_builders.hello(self._context, heard, settings)

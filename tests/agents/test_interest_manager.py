@@ -46,7 +46,7 @@ def beacon(name: str, tick: int, x: float) -> Beacon:
 def lookout() -> InterestManager:
     """Of s1, who stands at (10, 10) m and has asked who is there; s3, between him and s2, owns all that is far."""
     agent = Agent(CONFIG, "s1")
-    made = InterestManager(agent.context, PeerTable(CONFIG, "s1"), 1)
+    made = InterestManager(agent.context, PeerTable(CONFIG, "s1"))
     made.start(SEEN, agent.outcome, 0.0)
     return made
 
@@ -142,7 +142,7 @@ def test_who_hears_nobody_asks_again_nearby_before_it_looks_farther() -> None:
 @pytest.mark.parametrize("name", ["s1", "s2", "s3"])
 def test_at_a_slower_pace_too_each_period_brings_a_beacon(name: str) -> None:
     agent = Agent(CONFIG, name)
-    made, pace = InterestManager(agent.context, PeerTable(CONFIG, name), 1), int(BEACON_PERIOD)
+    made, pace = InterestManager(agent.context, PeerTable(CONFIG, name)), int(BEACON_PERIOD)
     made.start(SEEN, agent.outcome, 0.0)
     said = [made.close_round(standing(name, tick), agent.outcome, STAND) for tick in range(pace, 9 * pace, pace)]
     assert [sum(isinstance(effect, Beacon) for effect in effects) for effects in said] == [1] * 8

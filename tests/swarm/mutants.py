@@ -118,9 +118,9 @@ def no_overlap_rule(case: Case, patch: pytest.MonkeyPatch) -> str | None:
 def stale_claim_wins(case: Case, patch: pytest.MonkeyPatch) -> str | None:
     right = message_builders.gossip
 
-    def gossip(me: AgentContext, incarnation: int, outcome: RoundResult, observation: Observation, **words: Any) -> Gossip:
+    def gossip(me: AgentContext, outcome: RoundResult, observation: Observation, **words: Any) -> Gossip:
         outcome.belief.tick = observation.tick - 1
-        return right(me, incarnation, outcome, observation, **words)
+        return right(me, outcome, observation, **words)
 
     patch.setattr(message_builders, "gossip", gossip)
     return fuzz.play(case)
