@@ -50,9 +50,7 @@ class RateLimiter:
         self._counts: dict[str, int] = {}  # messages in this second, by key
         self._second = 0.0  # end of this second
         self._suspect: dict[str, None] = {}  # keys
-        self._left: dict[
-            tuple[str, str], tuple[float, float]
-        ] = {}  # (key, session) -> messages left in its bucket, and the time of that figure, s
+        self._left: dict[tuple[str, str], tuple[float, float]] = {}  # (key, session) -> messages left in its bucket, and when that was, s
 
     def admits(self, key: str, origin: Any, now: float) -> bool:
         """Count one message; True within the limit.

@@ -155,9 +155,7 @@ class Gossip(Message, frozen=True, kw_only=True, dict=True, tag="gossip"):
     components_bytes: bytes = msgspec.field(name="components", default=b"")  # (N,) of `COMPONENT`, from a tracker of Gaussian mixtures
     labels_bytes: RowsOf8Bytes = msgspec.field(name="labels", default=b"")  # (K,) uint64: a table of labels, strictly ascending
     label_numbers_bytes: bytes = msgspec.field(name="label_numbers", default=b"")  # (N,) uint8, uint16 if K > 256: places in the table
-    particles: bytes = (
-        b""  # in place of states and ids, which are empty on the wire then: the same in few bytes (protocol/compact_particles.py)
-    )
+    particles: bytes = b""  # in place of states and ids, which are empty then: the same in few bytes (protocol/compact_particles.py)
     goal: Vector | None = None  # the place that the sensor goes to; None: it stays
     goal_utilisation: Magnitude = 0.0  # expected targets there, as a multiple of the number that the sensor can hold
     pace: PaceNumber = 1  # the sender has the time for the ticks that this number divides

@@ -205,8 +205,9 @@ def _update_wedges(
         end = [begin + int(size) for begin, size in zip(start, result)]
         near, mine, new = [_rows(*part) for part in zip((updated, own, drawn), start, end)]
         rows = slice(start[3], end[3])
+        mass, moment_x, moment_y, load, detected = result[region_kernels.SIZES :]
         targets = TargetEstimates(estimates[rows, :2].copy(), estimates[rows, 2:].copy(), names[rows])
-        found.append(RegionUpdate(near, mine, new, *result[region_kernels.SIZES :], targets))
+        found.append(RegionUpdate(near, mine, new, mass, moment_x, moment_y, load, detected, targets))
         start = end
     return found
 

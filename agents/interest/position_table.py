@@ -81,16 +81,14 @@ class PositionTable:
 
     def note_all(self, beacons: list[Beacon], peers: dict[str, Peer]) -> list[Beacon]:
         """Note the beacons that change nothing but the position of a live, known peer; return the other beacons."""
-        others, limit = [], self.silence_limit
+        others = []
         for beacon in beacons:
             peer = peers.get(beacon.sender)
             if (
                 peer is None
                 or peer.beacon is None
-                or peer.announced is None
-                or peer.refused_until is not None
                 or peer.suspected
-                or peer.missed >= limit
+                or not self._has_position(peer)
                 or peer.incarnation != beacon.incarnation
                 or beacon.tick < peer.beacon.tick
                 or not same_sensor(beacon, peer.beacon)

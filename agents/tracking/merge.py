@@ -35,8 +35,8 @@ def merge(
 
     `table` holds all gossips of the tick, the own one included, and `unknown` the senders in it that this agent did not know before.
     """
-    claiming = [gossip for gossip in table.gossips if gossip.claim_tick == step.tick - 1 and gossip.sender != mine.owner]
-    owned = [mine, *map(owned_by_sender, claiming)]
+    owned, last = [mine], step.tick - 1
+    owned += [owned_by_sender(gossip) for gossip in table.gossips if gossip.claim_tick == last and gossip.sender != mine.owner]
     received, claims = join([each.targets for each in owned]), end_to_end([each.claim for each in owned])
     # the complement of the hash that an unknown sender states is the hash of no other diagram
     hashes = [~each.diagram_hash if each.owner in unknown else each.diagram_hash for each in owned]

@@ -188,8 +188,7 @@ def test_of_a_long_sleep_only_the_last_ticks_are_replayed(tracker: ParticlePhd |
     asleep, day = tracker.start("s1", CLOSED, (40.0, 40.0, 60.0, 60.0)), 400_000
     fields = [field for field in ("weights", "states", "means") if hasattr(copies_of(asleep), field)]
     short, long, too_long = [
-        copies_of(tracker.catch_up(replace(asleep, tick=tick), Step(CLOSED, day)))
-        for tick in (day - most, day - most - 1, day - 10 * most)
+        copies_of(tracker.catch_up(replace(asleep, tick=tick), Step(CLOSED, day))) for tick in (day - most, day - most - 1, day - 10 * most)
     ]
     assert all((getattr(long, field) == getattr(too_long, field)).all() for field in fields)
     assert len(long.weights) and (len(short.weights) != len(long.weights) or (short[0] != long[0]).any())

@@ -5,7 +5,7 @@ import math
 import pytest
 
 from agents.agent import Agent
-from agents.membership.local_health import BEAT_PERIOD, SUSPICION_SECONDS, STALL_THRESHOLD, LocalHealth
+from agents.membership.local_health import BEAT_PERIOD, STALL_THRESHOLD, SUSPICION_SECONDS, LocalHealth
 from protocol.node import Alive, Gone, Timer
 from tests.agents.test_agent import hello, met, see, word
 
