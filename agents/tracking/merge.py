@@ -19,18 +19,18 @@ from agents.tracking.step import Step
 from agents.tracking.tracker import OwnedState
 from protocol.messages import Gossip
 
-Targets = TypeVar("Targets", Particles, Mixture)
+TargetSet = TypeVar("TargetSet", Particles, Mixture)
 
 
 def merge(
     mine: OwnedState,
-    copies: Targets,
+    copies: TargetSet,
     table: GossipTable,
     unknown: frozenset[str],
     step: Step,
     backend: Backend,
     owned_by_sender: Callable[[Gossip], OwnedState],
-) -> Targets:
+) -> TargetSet:
     """The targets that count one tick before `step`, in canonical order: what this agent owns, what others state, and the orphaned copies.
 
     `table` holds all gossips of the tick, the own one included, and `unknown` the senders in it that this agent did not know before.
@@ -45,6 +45,6 @@ def merge(
     return united(received, kept, copies, backend.orphaned(copies.states, claims, step.config.arena))
 
 
-def united(received: Targets, kept: np.ndarray, copies: Targets, free: np.ndarray) -> Targets:
+def united(received: TargetSet, kept: np.ndarray, copies: TargetSet, free: np.ndarray) -> TargetSet:
     """The `kept` received rows and the `free` copies in canonical order; a received row replaces a copy with the same id."""
     return canonical(join([select(received, kept), select(copies, free)]))
