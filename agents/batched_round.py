@@ -13,7 +13,7 @@ import numpy as np
 from agents.backend import Backend
 from agents.coverage.cells import Cell
 from agents.gossip.table import GossipTable
-from agents.tracking.claims import NO_CLAIM, Claim
+from agents.tracking.claims import Claim, make_claim
 from agents.tracking.step import Step
 from agents.tracking.tracker import RegionInput, RegionUpdate, Tracker
 
@@ -58,8 +58,5 @@ def _computed(table: GossipTable, backend: Backend, tracker: Tracker, step: Step
 
 
 def claim_of(cell: Cell, names: tuple[str, ...], generators: np.ndarray) -> Claim:
-    """A cell as generators, the own one first. The names are in order, so the generator with the smaller index comes first."""
-    if not cell.bounding:
-        return NO_CLAIM
-    bounds = np.array(cell.bounding)
-    return Claim(tuple([names[index] for index in cell.bounding]), generators[bounds], bounds < cell.bounding[0])
+    """A cell as generators, the own one first; `names` and `generators` (N, 3) are those of the diagram."""
+    return make_claim(tuple([names[index] for index in cell.bounding]), generators[[*cell.bounding]])

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from agents.backend import Backend
-from agents.batched_round import batched_round
+from agents.batched_round import batched_round, claim_of
 from agents.config import AgentConfig
 from agents.coverage.capacity import power_radius, unused_capacity
 from agents.coverage.control import STAND, ControlInput, ControlLaw, Intent, Situation, Surroundings, middle_of
@@ -23,7 +23,7 @@ from agents.gossip.table import REACH, AnnouncedSensor, GossipTable, announced_s
 from agents.interest.position_table import UnsubscribedGenerators
 from agents.membership.peer_table import COMPLETE_SET_HASH, PeerTable
 from agents.tracking.belief import ParticlePhd
-from agents.tracking.claims import NO_CLAIM, Claim, make_claim
+from agents.tracking.claims import NO_CLAIM, Claim
 from agents.tracking.extraction import NO_ESTIMATES, TargetEstimates
 from agents.tracking.gaussian_belief import MixturePhd
 from agents.tracking.step import Step
@@ -237,7 +237,7 @@ def _own_cell(context: AgentContext, generator_table: GossipTable, unsubscribed:
     generators = np.concatenate([generator_table.generators, unsubscribed.generators])
     cell = context.backend.cut_cells([generator_table.names.index(context.name)], generators, context.arena)[0]
     names = (*generator_table.names, *unsubscribed.names())
-    return cell.polygon, make_claim(tuple([names[bound] for bound in cell.bounding]), generators[[*cell.bounding]])
+    return cell.polygon, claim_of(cell, names, generators)
 
 
 def _situation(
