@@ -49,11 +49,10 @@ class Agent(Node):
         self.name, self.incarnation, self.run = name, incarnation, config.run.name
         self.config = config
         self.coalesced_keys = "" if config.timing.look_ahead else "/gossip/"  # no gossip waits where it is measured how late they come
-        self.sensor_class = sensor_class or config.members[name]
         self.counters: Counter[str] = Counter()
         self.peer_table = PeerTable(config, name)
         self.tick = -1  # of the newest observation; -1: none has come
-        self.context = context_of(config, name, self.sensor_class, backend, incarnation)
+        self.context = context_of(config, name, sensor_class or config.members[name], backend, incarnation)
         self.neighbours_only = self.peer_table.neighbours_only
         self.sees_all_tokens = not self.neighbours_only
         self._interest = InterestManager(self.context, self.peer_table) if self.neighbours_only else None

@@ -267,7 +267,7 @@ class VirtualBus:
     def _time_of(self, endpoint: BusEndpoint) -> float:
         """The time of a node's clock; rounded up to a deadline within 1 us, because its timer would fire for ever otherwise."""
         now = self.now + endpoint.clock
-        due = endpoint.node.deadline() if endpoint.clock else None
+        due = endpoint.deadline()
         return due if due is not None and 0.0 < due - now < 1e-6 else now
 
     def _advance(self, until: float) -> bool:

@@ -62,7 +62,7 @@ def test_the_file_of_the_agents_names_no_section_and_no_number_of_the_worlds(tmp
 
 def test_an_agent_works_with_that_file_and_refuses_the_worlds(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     directory = written(tmp_path, monkeypatch, resolve("quick"))
-    assert Agent(load(directory.agents, AgentConfig), "s1").sensor_class == "A"
+    assert Agent(load(directory.agents, AgentConfig), "s1").context.sensor_class == "A"
     with pytest.raises(BadSetting, match=r"run\.toml: run\.seed: there is no such field"):
         load(directory.config, AgentConfig)
 
