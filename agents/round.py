@@ -260,7 +260,7 @@ def _situation(
         heading=config.control.heading,
         arena=(config.arena.width, config.arena.height),
         nearby_sensors=_nearby_sensors(context, cell, table) if getattr(context.law, "uses_nearby_sensors", False) else (),
-        generators=generator_table.points,
+        generators=generator_table.generators[:, :2],
         own_generator=generator_table.names.index(context.name) if context.name in generator_table.names else -1,
         ticks=ticks,
     )

@@ -146,11 +146,6 @@ class GossipTable:
         return self.table[:, GENERATOR_X : POWER_RADIUS + 1].copy()
 
     @cached_attribute
-    def points(self) -> np.ndarray:
-        """The points of the generators (N, 2), m."""
-        return self.generators[:, :2].copy()
-
-    @cached_attribute
     def diagram_hash(self) -> int:
         """The hash of all generators; never 0. Agents with equal hashes cut the same diagram."""
         digest = hashlib.blake2b("\n".join(self.names).encode(), digest_size=7)

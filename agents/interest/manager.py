@@ -240,11 +240,9 @@ class InterestManager:
 
     def reopen_if_behind(self, tick: int, now: float) -> list[Effect]:
         """A neighbour is more than one tick ahead of the own `tick`: a new session, if that has lasted long; else no effects."""
-        return (
-            [Reopen(f"the others go on, and {self._context.name} has heard of no tick after {tick}")]
-            if self._world_link_detector.should_reopen(tick, now)
-            else []
-        )
+        if not self._world_link_detector.should_reopen(tick, now):
+            return []
+        return [Reopen(f"the others go on, and {self._context.name} has heard of no tick after {tick}")]
 
     def _covers_beacons(self, place: tuple[float, float]) -> bool:
         """Whether all agents that were lately at a place are known; true before the first selection, when nothing is."""
@@ -252,9 +250,8 @@ class InterestManager:
 
     def _covers_generator(self, place: tuple[float, float]) -> bool:
         """Whether all agents with a generator at a place are known."""
-        return self.known_area is not None and self.known_area.contains(
-            Rectangle(*place, *place).wider(self._ground.bounds.offset + BEACON_JUMP)
-        )
+        around = Rectangle(*place, *place).wider(self._ground.bounds.offset + BEACON_JUMP)
+        return self.known_area is not None and self.known_area.contains(around)
 
     def reselect(self, cell: np.ndarray, own: Beacon, tick: int) -> list[Effect]:
         """Select peers for a cell and follow it with the tiles; the subscriptions that change."""

@@ -68,7 +68,7 @@ class Central:
         first = self._team[0]
         everywhere = RegionInput("", 0, first.sensor, self._bodies.poses[first.name], self._corners, NO_CLAIM)
         updated = backend.update_regions(words, self._particles, backend.background_births(step), [everywhere], step)[0].updated
-        points, radii = words.points, words.generators[:, 2]
+        points, radii = words.generators[:, :2], words.generators[:, 2]
         owned, commands = [], {}
         cells = backend.cut_cells(range(len(radii)), words.generators, self._corners)
         for index, (member, cell) in enumerate(zip(self._team, cells)):

@@ -166,7 +166,7 @@ def test_an_id_that_is_told_and_copied_is_kept_once_as_it_was_told() -> None:
 def test_a_claim_made_in_the_round_wins_the_ties_that_its_receivers_let_it_win(name: str) -> None:
     """s1 before s2 before s10; receivers go by the names."""
     words = table_of([said("s1", (10.0, 10.0, 0.0)), said("s2", (30.0, 10.0, 0.0)), said("s10", (20.0, 40.0, 0.0))])
-    cell = cut(words.names.index(name), words.points, words.generators[:, 2], rectangle(60.0, 60.0))
+    cell = cut(words.names.index(name), words.generators[:, :2], words.generators[:, 2], rectangle(60.0, 60.0))
     claim = claim_of(cell, words.names, words.generators)
     received = make_claim(claim.names, claim.generators)
     assert claim.names[0] == name and len(claim.names) == 3
