@@ -25,8 +25,8 @@ export function fillLegend(list, state) {
   if (!state.frame) return;
   const has = (test) => state.frame.agents.some(test), now = { on: state.on, frame: state.frame, chosen: has((agent) => agent.name === state.chosen && agent.state !== "dead"), has };
   const shown = ITEMS.filter(([, , when]) => when(now)), stamp = `${document.documentElement.dataset.theme} ${state.on.cells} ${shown.map(([name]) => name)}`;
-  if (list.dataset.tick === stamp) return;
-  list.dataset.tick = stamp;
+  if (list.dataset.stamp === stamp) return;
+  list.dataset.stamp = stamp;
   list.replaceChildren(...shown.map(([name, hint, , draw]) => {
     const canvas = element("canvas", { width: "32", height: "32", "aria-hidden": "true" });
     draw(canvas.getContext("2d"));

@@ -28,8 +28,8 @@ export function fillLog(list, state) {
   const past = [...state.happenings.values()].filter(([, time]) => !state.frame.play || time <= state.frame.time); // a replay knows the future
   const groups = grouped(past), shown = groups.filter((group, index) => group.kind === "asked" || index >= groups.length - MOST).reverse();
   const stamp = shown.map((group) => group.number).join();
-  if (list.dataset.tick === stamp) return;
-  list.dataset.tick = stamp;
+  if (list.dataset.stamp === stamp) return;
+  list.dataset.stamp = stamp;
   const line = ({ time, kind, text }) => element("li", { class: kind }, element("time", {}, `${time.toFixed(1)} s`), element("i", { "aria-hidden": "true" }, GLYPHS[kind] || "•"), ` ${text}`);
   list.replaceChildren(...(shown.length ? shown.map(line) : [element("li", { class: "none" }, "Nothing has happened yet.")]));
 }
