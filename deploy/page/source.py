@@ -84,6 +84,7 @@ class LiveSource:
         self._look_again = asyncio.Event()
         self._faults = 0  # of the supervisor's list that stand on the time line
         self._waiting = ""  # what the first tick waits for
+        self._shown = -1  # the newest tick of which both swarms have been shown, or the live one alone
 
     def scores(self) -> Sequence[Score]:
         return self._scorer.scores
@@ -98,10 +99,14 @@ class LiveSource:
         return (self._other.picture, self._of_one_tick(self._other)[1]) if self._other else None
 
     def _of_one_tick(self, other: SimulatedSwarm) -> tuple[Score | None, Score | None]:
-        """The scores of the newest tick of which everything has been heard in both swarms; where one lags behind, that of the live one."""
+        """The scores of the newest tick of which everything has been heard in both swarms, unless a later one has been shown.
+
+        Where the other one lags so far behind they are those of the live one, until it has caught up.
+        """
         mine, theirs = ({score.tick: score for score in scores[-RECENT_SCORES:-1]} for scores in (self._scorer.scores, other.scores))
-        tick = max(mine.keys() & theirs.keys(), default=max(mine, default=-1))
-        return mine.get(tick), theirs.get(tick)
+        of_both = [tick for tick in mine.keys() & theirs.keys() if tick >= self._shown]
+        self._shown = max(of_both, default=max(mine, default=-1))
+        return mine.get(self._shown), theirs.get(self._shown)
 
     def about(self, may_act: bool) -> dict[str, Any]:
         possible = [verb for verb in BUTTONS if verb not in LINK_VERBS or self.picture.scenario.network.link_faults]

@@ -170,6 +170,11 @@ def test_a_live_swarm_keeps_its_figures_while_the_one_beside_it_lags_far_behind(
     score, beside = source.score(), source.beside()
     assert score is not None and score.tick == 38
     assert beside is not None and beside[1] is None
+    other.play(30)
+    assert source.score() == score, "a picture goes back in time"
+    other.play(40)
+    beside = source.beside()
+    assert source.score() == score and beside is not None and beside[1] is not None and beside[1].tick == 38
 
 
 def test_who_is_killed_in_the_live_swarm_dies_beside_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
