@@ -187,7 +187,7 @@ def _try_law(scenario: Scenario) -> None:
     if scenario.control.mode == ORACLE:
         return
     law = control_law(scenario)
-    if not isinstance(law, CheckedLaw):
+    if not isinstance(law, CheckedLaw) or not scenario.members:  # a team with a mistake has none
         return
     name, sensor_class = next(iter(scenario.members.items()))
     middle, sensor = (scenario.arena.width / 2.0, scenario.arena.height / 2.0), sensor_of(scenario, sensor_class)

@@ -247,6 +247,16 @@ def test_what_only_follows_from_a_mistake_is_not_told(folder: Path, capsys: pyte
     assert code == 2 and len(complaints) == 1 and "members.s1 = 3: should be a text" in complaints[0]
 
 
+def test_a_law_of_the_users_own_is_not_tried_with_a_team_that_is_wrong(
+    folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.syspath_prepend(str(folder))
+    (folder / "own_law.py").write_text("class Law:\n    def command(self, situation):\n        return (0.0, 0.0), 0.0\n")
+    (folder / "one.toml").write_text("control.mode = 'own_law:Law'\nteam.composition = '1Q?'\n")
+    code, complaints = typed(["check", "one.toml"], capsys)
+    assert code == 2 and len(complaints) == 1 and "1Q?" in complaints[0], complaints
+
+
 def test_an_error_of_our_own_is_one_line_that_names_a_file_with_the_details(
     folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
