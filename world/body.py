@@ -338,3 +338,7 @@ def check_epoch(config: WorldConfig, now: float) -> None:
     if epoch > now + most:
         ahead = f"lies {epoch - now:.0f} s ahead of this machine's clock"
         raise BadSetting(f"bodies.epoch = {epoch:.3f}: {ahead}; should be at most {most:g} s (run.start_timeout): is the clock right?")
+    lasts = config.run.ticks * config.run.dt / config.run.rate
+    if epoch and epoch + lasts <= now:
+        over = f"by this machine's clock the run of {lasts:g} s ended {now - epoch - lasts:.0f} s ago"
+        raise BadSetting(f"bodies.epoch = {epoch:.3f}: {over}; should be 0, or more than {now - lasts:.0f}: is the clock right?")

@@ -53,7 +53,10 @@ def _run(data: dict[str, Any], agent: str) -> tuple[str, Network, Rules]:
         raise Wrong(f"sensors.{members[agent]}.measures = {measures!r}: a robot reports places here; should be 'position'")
     if run["clock"] != "realtime":
         raise Wrong(f"run.clock = {run['clock']!r}: a robot cannot wait; should be 'realtime'")
-    fence, epoch = bodies.get("fence"), bodies["epoch"]
+    fence, epoch, lasts = bodies.get("fence"), bodies["epoch"], run["seconds"] / run["rate"]
+    if epoch and epoch + lasts <= time.time():
+        over = f"by this machine's clock the run of {lasts:g} s is over"
+        raise Wrong(f"bodies.epoch = {epoch:.3f}: {over}; should be 0, or more than {time.time() - lasts:.0f}: is the clock right?")
     rules = Rules(
         agent=agent,
         expected=tuple(members),

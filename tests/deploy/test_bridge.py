@@ -241,6 +241,8 @@ def wrong_inputs(run_file: Path) -> Iterator[tuple[BridgeOptions, str]]:
     ranging = {"team.composition": "A3", "sensors.A.measures": "bearing", "sensors.A.bearing_noise": 2.0}
     (other := run_file.with_name("ranging.toml")).write_text(toml_text(resolve("quick", ranging)))
     yield BridgeOptions(other, "s3"), "sensors.A.measures = 'bearing': a robot reports places here; should be 'position'"
+    (late := run_file.with_name("late.toml")).write_text(toml_text(resolve("quick", {"bodies.epoch": time.time() - 300.0})))
+    yield BridgeOptions(late, "s3"), "s is over; should be 0, or more than"
     yield BridgeOptions(run_file, "s3", offset=-1.0), "--offset -1.0: should be from 0 to 10 m"
     yield BridgeOptions(run_file, "s3", origin=(0.0, math.nan, 0.0)), "should be three finite numbers"
     for router in ("foo", "foo/bar:1", "tcp/127.0.0.1", "tcp/127.0.0.1:abc"):

@@ -124,6 +124,14 @@ def test_an_epoch_that_lies_too_far_ahead_is_refused() -> None:
         check_epoch(settings, 900.0)
 
 
+def test_an_epoch_whose_run_is_over_is_refused() -> None:
+    settings = config(**{"bodies.epoch": 1000.0, "run.clock": "realtime", "run.rate": 2.0, "run.seconds": 60.0})
+    check_epoch(settings, 1029.0)
+    over = r"bodies.epoch = 1000.000: by this machine's clock the run of 30 s ended 70 s ago; should be 0, or more than 1070: is"
+    with pytest.raises(BadSetting, match=over):
+        check_epoch(settings, 1100.0)
+
+
 def test_a_late_loss_of_an_old_body_takes_its_successor_not_out_of_the_ring_of_the_clock(monkeypatch: pytest.MonkeyPatch) -> None:
     body = started(monkeypatch)
     for event in (Alive("agent", "s2", 1), Alive("body", "s2", 1), Alive("body", "s2", 2), Gone("body", "s2", 1)):
