@@ -2,7 +2,9 @@
 
 {"verb": "kill", "who": "30%"}  ->  {"ok": "killed s2, s7"}  or  {"error": "one line"}
 {"verb": "status"}              ->  {"ok": "", "data": {...}}
-{"verb": "faults"}              ->  {"ok": "", "data": [[12.5, "partition", "cut off s5"], ...]}
+{"verb": "faults"}              ->  {"ok": "", "data": [[12.5, "partition", "cut off s5", "", 2], ...]}
+
+A fault is its time in the world s, its verb, a text, the affected names and the sides that cuts make (deploy.scoring.result.Fault).
 """
 
 import asyncio
@@ -79,25 +81,24 @@ class ControlServer:
 
 
 class ControlClient:
-    """Speaks to the supervisor of a running run; blocks."""
+    """Speaks to the supervisor of a running run; blocks. Each request has its own connection: a late answer spoils no later one."""
 
     def __init__(self, directory: RunDirectory) -> None:
         try:
-            where = json.loads(directory.control.read_text(encoding="utf-8"))["socket"]
-            self._socket = socket.socket(socket.AF_UNIX)
-            self._socket.settimeout(CLIENT_SECONDS)
-            self._socket.connect(where)
+            self._socket = json.loads(directory.control.read_text(encoding="utf-8"))["socket"]
         except (OSError, ValueError, KeyError):
             raise BadSetting(f"--run {directory.name}: the run is starting or ending; try again in a second") from None
-        self._file = self._socket.makefile("rwb")
 
     def ask(self, verb: str, who: str = "", value: float | None = None, options: dict[str, Any] | None = None) -> Answer:
         """The answer to a request; raises BadSetting with the supervisor's complaint, or when it has gone."""
         request = {"verb": verb, "who": who, "value": value, "options": options or {}}
         try:
-            self._file.write(json.dumps(request).encode() + b"\n")
-            self._file.flush()
-            line = self._file.readline()
+            with socket.socket(socket.AF_UNIX) as connection:
+                connection.settimeout(CLIENT_SECONDS)
+                connection.connect(self._socket)
+                connection.sendall(json.dumps(request).encode() + b"\n")
+                with connection.makefile("rb") as answers:
+                    line = answers.readline()
         except TimeoutError:
             raise BadSetting(f"the supervisor has not answered for {CLIENT_SECONDS:.0f} s; the run may still go on") from None
         except OSError:
@@ -108,11 +109,6 @@ class ControlClient:
         if "error" in answer:
             raise BadSetting(answer["error"])
         return answer
-
-    def close(self) -> None:
-        """Hang up."""
-        self._file.close()
-        self._socket.close()
 
 
 async def ask(directory: RunDirectory, verb: str, who: str = "") -> Answer:

@@ -115,9 +115,7 @@ class Covey:
     def status(self) -> dict[str, Any] | None:
         """What `ps --json` would say, None while there is nobody to ask."""
         try:
-            client = ControlClient(find_running(None))
-            data = client.ask("status")["data"]
-            client.close()
+            data = ControlClient(find_running(None)).ask("status")["data"]
         except BadSetting:
             return None
         return data

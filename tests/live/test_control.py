@@ -1,6 +1,7 @@
 """The control socket by itself: what a command is told when the supervisor fails, is late, or has gone."""
 
 import asyncio
+import json
 import logging
 from collections.abc import Awaitable, Callable
 from pathlib import Path
@@ -25,16 +26,18 @@ def test_a_client_that_is_still_connected_when_the_run_ends_is_no_error(director
     async def answer(request: dict[str, object]) -> Answer:
         return {"ok": str(request["verb"])}
 
-    async def run() -> ControlClient:
+    async def run() -> asyncio.StreamWriter:
         server = ControlServer(directory, answer)
         await server.open()
-        client = await asyncio.to_thread(ControlClient, directory)
-        assert (await asyncio.to_thread(client.ask, "status"))["ok"] == "status"
+        reader, writer = await asyncio.open_unix_connection(json.loads(directory.control.read_text())["socket"])
+        writer.write(b'{"verb": "status"}\n')
+        assert json.loads(await reader.readline()) == {"ok": "status"}
         await server.close()
-        return client
+        return writer
 
     with caplog.at_level(logging.WARNING):
-        asyncio.run(run()).close()
+        writer = asyncio.run(run())
+    del writer
     assert not caplog.records
 
 
@@ -49,7 +52,6 @@ def complaint(directory: RunDirectory, answer: Callable[[dict[str, object]], Awa
             with pytest.raises(BadSetting) as caught:
                 await asyncio.to_thread(client.ask, "status")
         finally:
-            client.close()
             await server.close()
         return str(caught.value)
 
@@ -72,6 +74,26 @@ def test_a_late_answer_is_not_taken_for_the_end_of_the_run(directory: RunDirecto
         return {"ok": ""}
 
     assert "has not answered for" in complaint(directory, answer)
+
+
+def test_after_a_late_answer_the_next_request_has_its_own(directory: RunDirectory, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(control, "CLIENT_SECONDS", 0.2)
+
+    async def answer(request: dict[str, object]) -> Answer:
+        await asyncio.sleep(0.3 if request["verb"] == "slow" else 0.0)
+        return {"ok": str(request["verb"])}
+
+    async def run() -> str:
+        server = ControlServer(directory, answer)
+        await server.open()
+        client = await asyncio.to_thread(ControlClient, directory)
+        with pytest.raises(BadSetting, match="has not answered for"):
+            await asyncio.to_thread(client.ask, "slow")
+        said: str = (await asyncio.to_thread(client.ask, "status"))["ok"]
+        await server.close()
+        return said
+
+    assert asyncio.run(run()) == "status"
 
 
 def test_a_supervisor_that_hangs_up_has_ended_its_run(directory: RunDirectory) -> None:
