@@ -14,8 +14,12 @@ def seed_listeners(scenario: Scenario) -> dict[str, str]:
     """Which processes listen on a known port, and where: on free ports, or the monitor alone where the scenario says."""
     if scenario.network.mode == "router":
         raise BadSetting("network.mode = router: should be peer or client; the router of a run is its supervisor")
-    if scenario.network.listen != NetworkSettings().listen:  # any free port (0) has to be chosen here: the others dial it
-        return {"monitor": re.sub(r":0$", lambda _: f":{free_port()}", scenario.network.listen[0])}
+    listen = scenario.network.listen
+    if len(listen) != 1:
+        one = "should be one endpoint, such as ['tcp/127.0.0.1:0']: the supervisor listens there"
+        raise BadSetting(f"network.listen = {list(listen)}: {one}")
+    if listen != NetworkSettings().listen:  # any free port (0) has to be chosen here: the others dial it
+        return {"monitor": re.sub(r":0$", lambda _: f":{free_port()}", listen[0])}
     if scenario.network.mode == "client":
         return {"monitor": f"tcp/127.0.0.1:{free_port()}"}
     names = ["monitor", world_names(scenario)[0], *list(scenario.members)[:SEED_AGENTS]]

@@ -14,6 +14,7 @@ from deploy.live.processes import LAST_BYTES, Child, is_stopped, process_rows
 from deploy.live.seeds import endpoints, seed_listeners
 from deploy.scenario import resolve
 from deploy.storage.run_directory import RunDirectory
+from protocol.settings import BadSetting
 
 
 @pytest.fixture
@@ -147,6 +148,12 @@ def test_a_seed_listens_and_nobody_dials_itself() -> None:
 def test_where_the_scenario_says_any_free_port_the_others_are_told_which(listen: str, found: str) -> None:
     listeners = seed_listeners(resolve("quick", {"network.listen": [listen]}))
     assert list(listeners) == ["monitor"] and re.fullmatch(found, listeners["monitor"])
+
+
+@pytest.mark.parametrize("listen", [[], ["tcp/127.0.0.1:7447", "tcp/127.0.0.1:7448"]])
+def test_a_supervisor_that_would_listen_nowhere_or_at_two_places_is_refused(listen: list[str]) -> None:
+    with pytest.raises(BadSetting, match=re.escape(f"network.listen = {listen}: should be one endpoint, such as")):
+        seed_listeners(resolve("quick", {"network.listen": listen}))
 
 
 @pytest.mark.parametrize(
