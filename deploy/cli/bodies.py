@@ -7,8 +7,9 @@ from typing import Any
 
 from rich.table import Table
 
+from deploy.cli.study import take_seconds
 from deploy.cli.study_progress import console_of, run_open_trials
-from deploy.studies.bodies import MODELS, RADIUS, plan, play, summary
+from deploy.studies.bodies import MODELS, RADIUS, SCENARIO, plan, play, summary
 from deploy.studies.results import StudyFolder
 from deploy.studies.trials import Row
 from protocol.settings import BadSetting
@@ -24,7 +25,7 @@ def run_body_study(
     from deploy.installation import need_packages
 
     size, options = QUICK if quick else FULL, dict(options)
-    seconds = float(options.pop("run.seconds", size["seconds"]))
+    seconds = take_seconds(options, SCENARIO, size["seconds"])
     models = fields.get("methods", tuple(MODELS))
     if "teams" in fields:
         if len(fields["teams"]) > 1:

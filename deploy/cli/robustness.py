@@ -7,9 +7,10 @@ from typing import Any
 
 from rich.table import Table
 
+from deploy.cli.study import take_seconds
 from deploy.cli.study_progress import console_of, run_open_trials
 from deploy.studies.results import StudyFolder
-from deploy.studies.robustness import FRESH, LEVELS, NONE, Row, plan, play, summary, table
+from deploy.studies.robustness import FRESH, LEVELS, NONE, SCENARIO, Row, plan, play, summary, table
 from protocol.settings import BadSetting
 
 FULL = {"at": 60.0, "seconds": 150.0, "trials": 10}
@@ -52,7 +53,7 @@ def run_robustness_study(
 
     size = QUICK if quick else FULL
     options = {"run.dt": DT, **options}
-    seconds = float(options.pop("run.seconds", size["seconds"]))
+    seconds = take_seconds(options, SCENARIO, size["seconds"])
     number = int(size["trials"]) if trials is None else trials
     kinds, folder = kinds_of(faults), StudyFolder(into)
     bouts = [bout for bout in plan(number, 100 if seed is None else seed, size["at"], seconds, options) if bout.kind in kinds]

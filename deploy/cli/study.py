@@ -3,11 +3,13 @@
 import json
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 from rich.console import Console
 from rich.table import Table
 
 from deploy.cli.study_progress import console_of, run_open_trials
+from deploy.scenario import resolve
 from deploy.storage.run_directory import runs_folder
 from deploy.studies.design import Design, plan
 from deploy.studies.paired import compare, groups_of, summarise
@@ -38,6 +40,11 @@ def _short(path: Path) -> str:
 def default_folder(name: str, quick: bool) -> Path:
     """The default folder of a study."""
     return runs_folder() / f"study-{name}{'-quick' if quick else ''}"
+
+
+def take_seconds(options: dict[str, Any], scenario: str, otherwise: float) -> float:
+    """Take `run.seconds` out of the settings of a study over this scenario, s; raises BadSetting for a value that it cannot have."""
+    return resolve(scenario, {"run.seconds": options.pop("run.seconds", otherwise)}).run.seconds
 
 
 def show(rows: Sequence[Row], console: Console) -> None:

@@ -181,6 +181,8 @@ TYPED = [
     ("study efficacy --faults kill", 2, "--faults kill: an option of the robustness study alone"),
     ("study robustness --methods power", 2, "--methods power: not an option"),
     ("study robustness --faults rain", 2, "--faults rain: should be one or more of kill"),
+    ("study robustness --set run.seconds=abc", 2, "run.seconds = 'abc': should be a number, got a text"),
+    ("study bodies --set run.seconds=abc", 2, "run.seconds = 'abc': should be a number, got a text"),
     ("fuzz --seeds 0", 2, "--seeds 0"),
     ("init mine", 2, "mine: should be a file that ends in .toml"),
     ("init empty.toml", 2, "empty.toml: exists and is left as it is"),
