@@ -60,12 +60,13 @@ def earth_of(recording: Recording, origin: tuple[float, float] | None, began: st
     except ValueError:
         raise BadSetting(f"--began {began}: should be such as 2016-01-12T13:02:11Z") from None
     try:
+        moment = moment.astimezone(datetime.UTC) if moment.tzinfo else moment.replace(tzinfo=datetime.UTC)
         moment + datetime.timedelta(seconds=recording.seconds + STALE * recording.scenario.run.dt)
     except OverflowError:
         raise BadSetting(
-            f"--began {began}: should be early enough for a recording of {recording.seconds:g} s to end before the year 10000"
+            f"--began {began}: should be such that the {recording.seconds:g} s of the recording lie in the years 1 to 9999, UTC"
         ) from None
-    return Earth(LocalFrame(latitude, longitude), moment if moment.tzinfo else moment.replace(tzinfo=datetime.UTC))
+    return Earth(LocalFrame(latitude, longitude), moment)
 
 
 def _zero_of(recording: Recording) -> float:

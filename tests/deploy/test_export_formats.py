@@ -191,10 +191,10 @@ def test_events_have_the_form_that_pytak_makes_and_hold_the_places(recording: Re
             (
                 form,
                 ORIGIN,
-                "9999-12-31T23:59:56Z",
-                "--began 9999-12-31T23:59:56Z: should be early enough for a recording of 4.75 s to end before the year 10000",
+                moment,
+                f"--began {moment}: should be such that the 4.75 s of the recording lie in the years 1 to 9999, UTC",
             )
-            for form in ("geojson", "cot")
+            for form, moment in (("geojson", "9999-12-31T23:59:56Z"), ("cot", "0001-01-01T00:00:00+02:00"))
         ),
         ("cot", ORIGIN, None, "--began: is missing; {path} does not say when the run began, as one of a simulation"),
         ("mot", ORIGIN, None, "--origin, --began: are for --to geojson and --to cot, not for --to mot"),
@@ -219,6 +219,11 @@ def test_without_being_told_the_run_began_when_the_time_of_its_first_truth_was_z
         recorder.see(received(truth, payloads=[codec.encode(truth)]), 0.0)
     recorder.close()
     assert earth_of(Recording(tmp_path / "a.mcap"), ORIGIN, None).began.timestamp() - 1.5e9 == pytest.approx(began)
+
+
+def test_a_beginning_with_an_offset_is_told_in_utc(recording: Recording) -> None:
+    earth = earth_of(recording, ORIGIN, "2016-01-12T15:02:11+02:00")
+    assert earth.moment(0.25) == earth_of(recording, ORIGIN, "2016-01-12T13:02:11").moment(0.25) == "2016-01-12T13:02:11.250Z"
 
 
 def test_of_two_agents_that_report_one_label_in_a_tick_each_has_a_label_of_its_own_in_every_export(tmp_path: Path) -> None:
