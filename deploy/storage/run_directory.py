@@ -17,6 +17,7 @@
 import contextlib
 import errno
 import fcntl
+import hashlib
 import json
 import os
 import shutil
@@ -32,6 +33,7 @@ from protocol.settings import BadSetting
 
 LATEST_LINK = "latest"  # the link to the run that began last
 ROOM = 16384  # bytes that a run needs at least, for its run.toml
+LONGEST_SOCKET = 107  # bytes of the path of a Unix socket
 LOCK_TRIES, LOCK_PAUSE = 10, 0.01  # and s between them, before a run counts as held by another process
 
 
@@ -156,13 +158,17 @@ class RunDirectory:
             return False
 
     def socket_path(self) -> Path:
-        """The path of the control socket: a short path of this user, because socket paths are limited to about 100 bytes."""
+        """The path of the control socket, in a folder of this user: short whatever the run is called. Raises BadSetting."""
         folder = Path(tempfile.gettempdir()) / f"covey-{os.getuid()}"
         folder.mkdir(mode=0o700, exist_ok=True)
         if folder.stat().st_uid != os.getuid() or folder.is_symlink():
             raise BadSetting(f"{folder}: belongs to somebody else; set TMPDIR to a folder of your own")
         _sweep(folder)
-        return folder / f"{self.name[:40]}-{os.getpid()}.sock"
+        path = folder / f"{hashlib.blake2b(os.fsencode(self.path), digest_size=6).hexdigest()}-{os.getpid()}.sock"
+        if (excess := len(os.fsencode(path)) - LONGEST_SOCKET) > 0:
+            room = LONGEST_SOCKET - len(os.fsencode(path.relative_to(folder.parent))) - 1
+            raise BadSetting(f"TMPDIR = {folder.parent}: is {excess} bytes too long for a socket in it; should have at most {room}")
+        return path
 
 
 def _lock_alone(descriptor: int) -> bool:

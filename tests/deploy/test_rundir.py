@@ -2,6 +2,8 @@
 
 import errno
 import os
+import socket
+import tempfile
 from pathlib import Path
 
 import pytest
@@ -42,6 +44,25 @@ def test_where_files_cannot_be_locked_no_run_begins(monkeypatch: pytest.MonkeyPa
     ):
         held("one")
     assert not RunDirectory("one").is_running()
+
+
+def test_the_control_socket_of_a_long_name_fits_into_a_temporary_folder_and_one_too_deep_is_refused_with_what_fits(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    with tempfile.TemporaryDirectory(dir="/tmp") as short:
+
+        def path_below(length: int) -> Path:
+            folder = Path(short) / ("t" * (length - len(short) - 1))
+            folder.mkdir()
+            monkeypatch.setattr(tempfile, "tempdir", str(folder))
+            return RunDirectory("n" * 64).socket_path()
+
+        with pytest.raises(BadSetting, match=r"TMPDIR = .*tt: is \d+ bytes too long for a socket in it; should have at most") as error:
+            path_below(100)
+        most = int(str(error.value).rpartition(" ")[2])
+        assert most >= 60
+        with socket.socket(socket.AF_UNIX) as longest:
+            longest.bind(str(path_below(most)))
 
 
 def test_a_second_run_of_a_name_is_refused_and_says_how_to_end_the_first() -> None:
