@@ -35,6 +35,7 @@ class Operator(Node):
         self._begun = self._due = 0.0
         self.most = max(MOST, 4.0 * period)  # s for which the order is said
         self._judges = held and judges
+        self._least = SETTLE if self._judges else max(SETTLE, 2.0 * period)  # s; two poses of each body take as long
         self._stood_at: float | None = None
 
     def deadline(self) -> float | None:
@@ -72,11 +73,11 @@ class Operator(Node):
         (self.standing.add if still else self.standing.discard)(seen.recipient)
 
     def _conclude(self, now: float) -> list[Effect]:
-        """End when all bodies that are known obey, or when the order has been said for long enough."""
-        done = not self._judges or (self.bodies and self.bodies <= self.standing)
+        """End when all bodies that are known obey, or when the order has been said for long enough; 1 when no body is known."""
+        done = bool(self.bodies) and (not self._judges or self.bodies <= self.standing)
         self._stood_at = (self._stood_at or now) if done else None
         self.seconds = (self._stood_at or now) - self._begun
-        if now - self._begun < (SETTLE if done else self.most):
+        if now - self._begun < (self._least if done else self.most):
             return []
         return [Stop(0 if done else 1, "the order has been said")]
 
@@ -90,14 +91,15 @@ def say(run: str | None, *, held: bool) -> int:
     node = Operator(run_settings.name, time.time_ns() // 1_000_000, held=held, period=period, judges=not wrong)
     code = live.run(node, scenario.network)
     moving = sorted(node.bodies - node.standing, key=order)
-    if not held:
+    if not node.bodies:
+        unknown = "stand" if held else "be released"
+        print(f"no body of run {run_settings.name} has answered within {node.most:g} s: nothing is known to {unknown}")
+    elif not held:
         print(f"released {len(node.bodies)} bodies")
     elif wrong:
         print(f"{len(node.bodies)} bodies have been told to stand; {wrong[0]} hides whether they do. `covey release` lets them go on")
     elif code == 0:
         print(f"{len(node.bodies)} bodies stand; `covey release` lets them go on")
-    elif not node.bodies:
-        print(f"no body of run {run_settings.name} has answered within {node.most:g} s: nothing is known to stand")
     else:
         print(f"{len(node.standing)} bodies stand, not {', '.join(moving)}")
     return code

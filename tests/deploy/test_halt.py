@@ -42,3 +42,13 @@ def test_where_poses_err_the_order_is_only_said() -> None:
     scattered = [(0.25 * tick, 0.3 * (-1.0) ** tick) for tick in range(40)]
     code, end = conclusion(Operator("r", 1, held=True, period=0.25, judges=False), scattered, 10.0)
     assert code == 0 and SETTLE <= end < SETTLE + 0.2
+
+
+def test_a_release_ends_well_once_a_body_is_heard_and_fails_where_none_is() -> None:
+    heard = [(8.0 * tick + 3.0, 3.0) for tick in range(5)]
+    code, end = conclusion(Operator("r", 1, held=False, period=8.0), heard, 40.0)
+    assert code == 0 and 16.0 <= end < 16.2
+    code, end = conclusion(Operator("r", 1, held=False, period=8.0), [], 40.0)
+    assert code == 1 and 32.0 <= end < 32.2
+    code, end = conclusion(Operator("r", 1, held=True, period=0.25, judges=False), [], 40.0)
+    assert code == 1 and MOST <= end < MOST + 0.2
