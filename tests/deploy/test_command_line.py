@@ -121,6 +121,7 @@ def test_a_real_bash_completes_commands_options_scenarios_files_runs_agents_and_
     assert offered(["up", "qu"], tmp_path) == ["quick"]
     assert offered(["up", "mi"], tmp_path) == ["mine.toml"]
     assert offered(["down", "--run", ""], tmp_path) == ["hunt"]
+    assert offered(["rm", "h"], tmp_path) == ["hunt"]  # it has no recording
     assert offered(["kill", "s"], tmp_path) == ["s1", "s2"]
     assert offered(["up", "--set", "run.see"], tmp_path) == ["run.seed="]
 

@@ -23,7 +23,7 @@ def runs(*, json: Annotated[bool, FLAG] = False) -> int:
 
 @app.command(group=KEEP, help_epilogue="Example: covey rm hunt hunt-2\n         covey rm --older-than 7d")
 def rm(
-    *names: Annotated[str, Parameter(completer=completion.recordings)],
+    *names: Annotated[str, Parameter(completer=completion.runs)],
     all: Annotated[bool, FLAG] = False,
     older_than: str | None = None,
     yes: Annotated[bool, Parameter(name=["--yes", "-y"], negative="")] = False,
