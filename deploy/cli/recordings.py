@@ -17,11 +17,11 @@ from deploy.cli.errors import OK, complain, writing
 from deploy.cli.terminal import stop_event
 from deploy.installation import need_study_packages
 from deploy.page.address import address_of
-from deploy.recording.recording import DRAWING, NO_END, Recording, find_recording
+from deploy.recording.recording import NO_END, Recording, find_recording
 from deploy.recording.replay import SPEEDS, ReplayNode, ReplaySource
 from deploy.recording.rescore import difference, rescore
 from deploy.scoring.scores import write_scores
-from deploy.storage.kept_runs import new_run_directory
+from deploy.storage.kept_runs import DRAWING, new_run_directory
 from deploy.storage.whole_file import whole_file
 from protocol.endpoints import free_port
 from protocol.live import Driver

@@ -24,7 +24,7 @@ from mcap.stream_reader import StreamReader, breakup_chunk
 from deploy.recording.recorder import ABOUT, FAULT
 from deploy.scenario import Scenario
 from deploy.scoring.result import Fault
-from deploy.storage.kept_runs import find_run
+from deploy.storage.kept_runs import find_run, recordings_in
 from deploy.storage.run_directory import runs_folder
 from protocol import codec
 from protocol.fields import Malformed
@@ -33,7 +33,6 @@ from protocol.node import Alive, Event, Gone, Rejected, received
 from protocol.settings import BadSetting, convert
 
 NAME = "recording.mcap"
-DRAWING = ".foxglove.mcap"  # how the files of `covey export --to foxglove` end
 NO_END = "has no end: its recorder was killed or still writes"
 RECORD_HEAD = struct.Struct("<BQ")  # opcode, length
 FOOTER_BYTES = 37  # at the end of a whole file: the last record and the magic bytes
@@ -211,8 +210,7 @@ def find_recording(name: str) -> Path:
     folder = run.path if run is not None else path
     if not folder.is_dir():
         raise BadSetting(f"{name}: no such file, and no run of this name in {runs_folder()}; `covey runs` lists them")
-    ours = (file for file in folder.glob("*.mcap") if not file.name.endswith(DRAWING))
-    found = sorted(ours, key=lambda file: file.stat().st_mtime)
+    found = recordings_in(folder)
     if not found:
         raise BadSetting(f"{folder.resolve()}: no recording in it; run with --record to have one")
     return found[-1]

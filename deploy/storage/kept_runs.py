@@ -22,6 +22,7 @@ from protocol.settings import BadSetting
 LONGEST = 64  # characters of a name, which is a part of every key
 NAME = re.compile(r"^(?!\.+\Z)[A-Za-z0-9_.-]{1,64}\Z")
 INTERRUPTED = (129, 130, 143)  # exit codes of a run that a signal has stopped
+DRAWING = ".foxglove.mcap"  # how the files of `covey export --to foxglove` end
 UNITS = {"m": 60.0, "h": 3600.0, "d": 86400.0, "w": 604800.0}  # s
 
 
@@ -130,9 +131,15 @@ def _look(directory: RunDirectory) -> KeptRun:
         began=directory.config.stat().st_mtime,
         state=state,
         ospa=ospa if isinstance(ospa, int | float) else None,
-        recording_bytes=sum(file.stat().st_size for file in directory.path.glob("*.mcap")),
+        recording_bytes=sum(file.stat().st_size for file in recordings_in(directory.path)),
         simulated=directory.is_simulated(),
     )
+
+
+def recordings_in(folder: Path) -> list[Path]:
+    """The recordings in a folder, the newest last; a file that `covey export` has drawn is none."""
+    found = (file for file in folder.glob("*.mcap") if not file.name.endswith(DRAWING))
+    return sorted(found, key=lambda file: file.stat().st_mtime)
 
 
 def _run_section(directory: RunDirectory) -> dict[str, Any]:

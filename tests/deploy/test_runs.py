@@ -174,6 +174,7 @@ def test_a_run_without_a_recording_and_a_name_that_nobody_has_are_one_line_each(
 
 def test_the_list_says_what_became_of_each_run(capsys: pytest.CaptureFixture[str]) -> None:
     play("ended", seed=1, recorded=True, age=30.0)
+    (RunDirectory("ended").path / "recording.foxglove.mcap").write_bytes(bytes(1000))  # which is none
     play("killed", seed=2, ended=False, age=20.0)
     play("stopped", seed=3, code=130, age=10.0)
     play("refused", seed=3, code=2, age=5.0)
