@@ -1,14 +1,18 @@
-"""Key expressions, what `echo` prints, the rates of `hz`, and the map of `watch`; without a network."""
+"""Key expressions, what `echo` prints, the rates of `hz`, the map of `watch`, and a recorder that hears nothing; without a swarm."""
 
 import json
+import socket
 from collections.abc import Callable
+from pathlib import Path
 
 import pytest
 import zenoh
 
+from deploy.cli.listen import record
 from deploy.cli.listener import LOOK, SILENCE, KeyedPayload, Listener, Rates, expression, kinds, lies_in
 from deploy.cli.message_text import block, fields, plain_line
 from deploy.cli.terminal_map import swarm_map
+from deploy.scenario import resolve, toml_text
 from protocol import codec
 from protocol.messages import Command
 from protocol.node import Alive, Rejected, Started, Stop, Subscribe, Timer, Unsubscribe, received
@@ -72,6 +76,16 @@ def test_a_listener_that_has_heard_enough_hears_no_more_of_what_came_together() 
     node.handle(Started(), 0.0)
     assert node.handle(received(COMMAND, COMMAND, COMMAND, payloads=[codec.encode(COMMAND)] * 3), 1.0) == [Stop(0, "enough")]
     assert len(heard) == 2
+
+
+def test_an_outside_recorder_that_hears_nothing_leaves_no_recording_behind(tmp_path: Path) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        listen = f"tcp/127.0.0.1:{taken.getsockname()[1]}"
+        run = tmp_path / "run.toml"
+        run.write_text(toml_text(resolve("quick", {"network.seeds": ["tcp/127.0.0.1:1"], "network.listen": [listen]})))
+        with pytest.raises(BadSetting, match="the port is in use"):
+            record(tmp_path / "one.mcap", str(run))
+    assert [path.name for path in tmp_path.iterdir()] == ["run.toml"]
 
 
 def test_a_listener_stops_when_its_time_is_up_and_knows_who_is_there() -> None:
