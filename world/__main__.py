@@ -18,7 +18,6 @@ from protocol import codec, process
 from protocol.fields import Malformed
 from protocol.keys import all_of
 from protocol.messages import Halt
-from protocol.node import Effect, Event, Node
 from protocol.observer_messages import Truth
 from protocol.settings import BadSetting
 from world.body import Body, check_epoch
@@ -27,49 +26,6 @@ from world.halt import Hold
 from world.world import World
 
 log = logging.getLogger(__name__)
-
-
-class KeptWorld(Node):
-    """A world whose newest Truth is in a file before anybody hears of it; a full disk ends the keeping, not the world."""
-
-    def __init__(self, world: World, path: Path) -> None:
-        self.run, self.role, self.name, self.incarnation = world.run, world.role, world.name, world.incarnation
-        self.coalesced_keys = world.coalesced_keys
-        self._world = world
-        self._path: Path | None = path
-
-    def handle(self, event: Event, now: float) -> list[Effect]:
-        """What the world does, its Truth kept on the way."""
-        effects = self._world.handle(event, now)
-        for effect in effects:
-            if isinstance(effect, Truth):
-                self._keep(effect)
-        return effects
-
-    @property
-    def wake_up_count(self) -> int:
-        """As the world says."""
-        return self._world.wake_up_count
-
-    def deadline(self) -> float | None:
-        """As the world says."""
-        return self._world.deadline()
-
-    def counts(self) -> dict[str, int]:
-        """As the world says."""
-        return self._world.counts()
-
-    def expect(self, names: tuple[str, ...]) -> None:
-        """As the world does."""
-        self._world.expect(names)
-
-    def _keep(self, truth: Truth) -> None:
-        if self._path is None:
-            return
-        if not write_whole(self._path, codec.encode(truth)):
-            with contextlib.suppress(OSError):
-                self._path.unlink(missing_ok=True)  # an old one would lead a restarted world back in time
-            self._path = None
 
 
 def write_whole(path: Path, payload: bytes) -> bool:
@@ -103,6 +59,18 @@ def keep_halts(hold: Hold, path: Path, run: str) -> None:
     hold.on_order = lambda halt: write_whole(path, codec.encode(halt))
 
 
+def keep_truths(world: World, path: Path) -> None:
+    """Write every Truth to a file before it is published; a full disk ends the keeping, not the world."""
+
+    def keep(truth: Truth) -> None:
+        if not write_whole(path, codec.encode(truth)):
+            with contextlib.suppress(OSError):
+                path.unlink(missing_ok=True)  # an old one would lead a restarted world back in time
+            world.on_truth = lambda truth: None
+
+    world.on_truth = keep
+
+
 def read_truth(path: Path, run: str) -> Truth:
     """The Truth that was kept in a file, its bytes as on the wire; raises BadSetting naming the file."""
     try:
@@ -127,7 +95,7 @@ def main() -> NoReturn:
     if own.body is not None:
         be_body(own.body, own.keep, own.restore)
 
-    def build(config: WorldConfig, name: str, incarnation: int) -> World | KeptWorld:
+    def build(config: WorldConfig, name: str, incarnation: int) -> World:
         if name != World.name:
             raise BadSetting(f"--name {name}: the world of a run is always called {World.name}")
         if config.bodies.host == "own":
@@ -138,7 +106,9 @@ def main() -> NoReturn:
         world = World(config, incarnation, restored)
         if own.keep_halt:
             keep_halts(world.hold, own.keep_halt, config.run.name)
-        return KeptWorld(world, own.keep) if own.keep else world
+        if own.keep:
+            keep_truths(world, own.keep)
+        return world
 
     process.main("world", WorldConfig, build, lambda world, line: world.expect(tuple(line.split())), log_counts)
 
@@ -169,7 +139,7 @@ def end_body(body: Body) -> None:
     log_counts(body)
 
 
-def log_counts(node: World | KeptWorld | Body) -> None:
+def log_counts(node: World | Body) -> None:
     """Log at the end of a process what went wrong in it, once."""
     log.info("the process ends", extra=node.counts())
 

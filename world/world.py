@@ -7,6 +7,7 @@ A tick k: publish Observation(k) to every agent that is alive, and Truth(k); the
 
 import logging
 import math
+from collections.abc import Callable
 
 import numpy as np
 
@@ -76,6 +77,7 @@ class World(Node):
         self._settings = shared_settings(common_sections(config))
         self._commands = CommandBook(lockstep=self._lockstep)
         self.hold = Hold()  # by an operator: no command moves a body
+        self.on_truth: Callable[[Truth], object] = lambda truth: None  # called with every Truth before it is published
         self._waiting: set[str] = set()  # whose command of this tick is still missing; in lockstep the tick waits for it
         self._due: float | None = None
         self._changed = 0.0  # when an agent came, or one heard of more than before; until the start
@@ -224,6 +226,7 @@ class World(Node):
         else:
             self._due = self._anchor + (self.tick + 1) * self._period
         truth = self.scene.truth(self.bodies.poses, in_view, present, self.name, self.incarnation)
+        self.on_truth(truth)
         return [*map(self._observation, present, scans), truth]
 
     def _finish_tick(self, now: float) -> list[Effect]:

@@ -14,7 +14,7 @@ from protocol.node import Alive, Started, Timer, received
 from protocol.observer_messages import Truth
 from protocol.settings import BadSetting
 from tests.world.stage import command, config, feed, started
-from world.__main__ import KeptWorld, end_body, keep_halts, log_counts, read_halt, read_truth
+from world.__main__ import end_body, keep_halts, keep_truths, log_counts, read_halt, read_truth
 from world.body import Body
 from world.config import WorldConfig, WorldRun
 from world.halt import Hold
@@ -24,7 +24,14 @@ ROOT = Path(__file__).resolve().parents[2]
 CONFIG = WorldConfig(run=WorldRun(start_timeout=1.0), members={"s1": "A"})
 
 
-def run_a_little(node: KeptWorld) -> list[Truth]:
+def kept_world(path: Path) -> World:
+    """A world that keeps its newest Truth in a file."""
+    world = World(CONFIG, 1)
+    keep_truths(world, path)
+    return world
+
+
+def run_a_little(node: World) -> list[Truth]:
     """Two ticks of real time with one silent agent."""
     effects = node.handle(Started(), 0.0) + node.handle(Alive("agent", "s1", 1), 0.0)
     effects += node.handle(Timer(), 1.0) + node.handle(Timer(), 1.25)
@@ -37,10 +44,8 @@ def world_process(*words: str) -> subprocess.CompletedProcess[str]:
 
 
 def test_the_newest_truth_is_kept_and_a_world_can_go_on_from_it(tmp_path: Path) -> None:
-    node = KeptWorld(World(CONFIG, 1), tmp_path / "truth")
-    assert (node.run, node.role, node.name, node.incarnation) == ("covey", "world", "world", 1)
+    node = kept_world(tmp_path / "truth")
     truths = run_a_little(node)
-    assert node.deadline() == 1.5
     kept = read_truth(tmp_path / "truth", "covey")
     assert (kept.tick, truths[-1].tick) == (1, 1)
     assert kept.targets.tobytes() == truths[-1].targets.tobytes()
@@ -49,12 +54,12 @@ def test_the_newest_truth_is_kept_and_a_world_can_go_on_from_it(tmp_path: Path) 
 
 
 def test_a_file_that_cannot_be_written_does_not_stop_the_world(tmp_path: Path) -> None:
-    truths = run_a_little(KeptWorld(World(CONFIG, 1), tmp_path / "no such folder" / "truth"))
+    truths = run_a_little(kept_world(tmp_path / "no such folder" / "truth"))
     assert [truth.tick for truth in truths] == [0, 1]
 
 
 def test_after_a_failed_write_no_old_truth_is_left_from_which_a_world_would_go_back_in_time(tmp_path: Path) -> None:
-    node = KeptWorld(World(CONFIG, 1), tmp_path / "truth")
+    node = kept_world(tmp_path / "truth")
     run_a_little(node)
     assert (tmp_path / "truth").exists()
     (tmp_path / "truth.new").mkdir()  # where the next one would be written
@@ -149,11 +154,11 @@ def test_the_newest_halt_is_the_one_that_is_kept(tmp_path: Path) -> None:
     assert (kept.incarnation, kept.held) == (5, True)
 
 
-def test_what_was_counted_is_logged_once_when_a_process_ends(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_what_was_counted_is_logged_once_when_a_process_ends(caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level("INFO")
     world, _ = started(config())
     feed(world, command("s1", 5), command("nobody", 0), Timer(), now=5.0)
-    log_counts(KeptWorld(world, tmp_path / "truth"))
+    log_counts(world)
     end_body(Body(CONFIG, "s1", 1))
     first, second = (vars(record) for record in caplog.records)
     assert (first["ticks_without_command"], first["ignored_commands"], first["rejected_messages"], first["re_anchored"]) == (2, 2, 0, 0)
