@@ -159,7 +159,7 @@ def test_an_extra_that_is_unknown_or_cannot_be_had_leaves_what_is_there_as_it_is
     wrong = launch(tmp_path, "demo", COVEY_EXTRAS="mujuco")
     assert (wrong.returncode, wrong.stderr.splitlines()[-1]) == (
         2,
-        "covey: COVEY_EXTRAS = 'mujuco': known are cluster, docs, mujoco, rerun, ros, study, test",
+        "covey: COVEY_EXTRAS = 'mujuco': known are cluster, docs, mujoco, notebook, rerun, ros, study, test",
     )
     python = tmp_path / ".venv" / "bin" / "python"
     program = python.read_text()
