@@ -79,7 +79,10 @@ def command_line() -> str:
     """Every command with its options."""
     body = app.generate_docs(output_format="markdown", usage_name="covey")
     body = re.sub(r"```console\n(covey \w+)(?: -m \S+)?", r"```text\n\1", body[body.index("**Run**") :])  # it shows how this process began
-    return f"# Command line\n\n{MADE} `covey help COMMAND` says the same, with an example.\n\n{body.strip()}\n"
+    [shared] = set(re.findall(r"^\* `--seed INT`: Seed of the run.*?^\* `--json`: [^\n]*\n", body, re.MULTILINE | re.DOTALL))
+    body = body.replace(shared, "* All [options of a run](#options-of-a-run).\n")
+    end = f"## Options of a run\n\nAn option that is not given leaves the value of the scenario file.\n\n{shared}"
+    return f"# Command line\n\n{MADE} `covey help COMMAND` says the same, with an example.\n\n{body.strip()}\n\n{end}"
 
 
 def metrics() -> str:
