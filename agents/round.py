@@ -58,7 +58,10 @@ def context_of(config: AgentConfig, name: str, sensor_class: str, backend: Backe
     if reason := config.why_not(sensor):
         raise BadSetting(f"sensors.{sensor_class}.{reason}")
     tracker: Tracker = MixturePhd(backend) if config.filter.kind == "gaussian-mixture" else ParticlePhd(backend)
-    announced = announced_sensor(name, sensor, config.detection.clutter)
+    try:
+        announced = announced_sensor(name, sensor, config.detection.clutter)
+    except BadSetting as error:
+        raise BadSetting(f"sensors.{sensor_class}: {error}") from error.__cause__
     law = control_law(config, backend)
     return AgentContext(name, sensor, announced, law, backend, tracker, config, corners, sensor_class, incarnation)
 

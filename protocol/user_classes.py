@@ -129,6 +129,9 @@ class CheckedSensor:
             raise AttributeError(part)
         return getattr(self._sensor, part)
 
+    def __str__(self) -> str:
+        return self._name
+
     @property
     def reach(self) -> float:
         return self._positive("reach")

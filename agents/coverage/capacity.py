@@ -15,6 +15,7 @@ import numpy as np
 from agents.config import CapacitySettings
 from agents.tracking.particles import total
 from protocol.sensing import Pose, SensorModel, WedgeSensor
+from protocol.settings import BadSetting
 
 _AT_REST: Pose = (0.0, 0.0, 0.0)
 _GRID = 1024  # quadrature points per axis over the square of side 2 reach
@@ -32,7 +33,7 @@ class SensorFacts(NamedTuple):
 def sensor_facts(sensor: SensorModel) -> SensorFacts:
     """D in m^2 (6) and the COD in the frame of the sensor, m (14): closed form for wedges, midpoint quadrature otherwise.
 
-    Raises ValueError if the detection probability is 0 at all points of the quadrature, or above 0 at fewer than `_LEAST_SEEN`.
+    Raises BadSetting if the detection probability is 0 at all points of the quadrature, or above 0 at fewer than `_LEAST_SEEN`.
     A pure memo: many agents carry sensors of one class.
     """
     if isinstance(sensor, WedgeSensor):
@@ -46,12 +47,12 @@ def sensor_facts(sensor: SensorModel) -> SensorFacts:
     probability = sensor.probability(points, _AT_REST)
     detected = total(probability)
     if not detected > 0.0:
-        raise ValueError(f"{type(sensor).__name__}: the detection probability is 0 everywhere within its reach of {sensor.reach} m")
+        raise BadSetting(f"{sensor}: the detection probability is 0 everywhere within its reach of {sensor.reach} m")
     seen = points[probability > 0.0]
     if len(seen) < _LEAST_SEEN:
         farthest = f"the farthest at {np.sqrt((seen * seen).sum(axis=1)).max():.3g} m"
         few = f"only {len(seen)} of {_GRID} x {_GRID} places within its reach of {sensor.reach:g} m are seen, {farthest}"
-        raise ValueError(f"{type(sensor).__name__}: {few}: its reach is too far, or its beam too narrow, to compute with")
+        raise BadSetting(f"{sensor}: {few}: its reach is too far, or its beam too narrow, to compute with")
     x, y = (total(probability * points[:, axis]) / detected for axis in (0, 1))
     return SensorFacts(detected * step * step, (x, y))
 

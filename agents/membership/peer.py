@@ -54,11 +54,9 @@ def announced_by(message: Hello | Beacon, config: AgentConfig) -> AnnouncedSenso
     """The sensor that a message announces; None when its class is unknown here, or cannot be used with these settings."""
     try:
         sensor = sensor_of(config, message.sensor_class) if message.sensor is None else message.sensor
+        return None if config.why_not(sensor) else announced_sensor(message.sender, sensor, config.detection.clutter)
     except BadSetting:
         return None
-    if config.why_not(sensor):
-        return None
-    return announced_sensor(message.sender, sensor, config.detection.clutter)
 
 
 def same_sensor(one: Beacon, other: Beacon) -> bool:

@@ -17,8 +17,8 @@ from protocol.message import Message
 from protocol.messages import Beacon, Command, Gossip, Hello, Observation
 from protocol.node import NO_EFFECTS, Alive, Effect, Event, Gone, Received, Rejected, Started, Stop, Subscribe, Timer, Warn, received
 from protocol.observer_messages import Estimate
-from protocol.sensing import SENSOR_CLASSES, WedgeSensor
-from protocol.settings import ArenaSettings, BadSetting, LimitSettings, RunSettings
+from protocol.sensing import SENSOR_CLASSES, Pose, WedgeSensor
+from protocol.settings import ArenaSettings, BadSetting, LimitSettings, RunSettings, SensorSettings
 from protocol.settings_digest import settings_digest
 
 CONFIG = AgentConfig(
@@ -206,6 +206,28 @@ def test_a_peer_whose_sensor_cannot_be_used_is_refused_and_ends_nobody(kind: str
         agent.handle(word(tick, detections_bytes=pack(np.array([[0.0, 0.3]]), "<f4")), 0.25 * tick + 0.05)
         agent.handle(Timer(), 0.25 * tick + 0.2)
     assert agent.counters["rounds"] == 3 and agent.counters["rejected.sensor"] == 1 and agent.counters["rejected.unknown_sensor"] == 3
+
+
+class Blind:
+    """A square that sees nothing."""
+
+    reach, area = 6.0, 72.0
+
+    def probability(self, points: np.ndarray, pose: Pose) -> np.ndarray:
+        return np.zeros(len(points))
+
+    def footprint(self, pose: Pose) -> np.ndarray:
+        return np.array([[6.0, 0.0], [0.0, 6.0], [-6.0, 0.0], [0.0, -6.0]])
+
+
+def test_an_announced_class_that_sees_nothing_is_refused_and_ends_nobody() -> None:
+    """Without `covey check` nobody has tried the class, and its name alone stands in a Hello."""
+    config = msgspec.structs.replace(CONFIG, sensors={"X": SensorSettings(model=f"{__name__}:Blind")})
+    agent = Agent(config, "s1")
+    assert agent.handle(hello(sensor=None, sensor_class="X"), 0.0) == []
+    assert agent.counters == {"rejected.sensor": 1}
+    with pytest.raises(BadSetting, match=r"^sensors\.X: tests\.agents\.test_agent:Blind: the detection probability is 0 everywhere"):
+        Agent(config, "s1", sensor_class="X")
 
 
 def test_gossips_are_held_back_only_where_nobody_measures_how_late_they_come() -> None:

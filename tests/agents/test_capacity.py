@@ -10,6 +10,8 @@ from hypothesis import strategies as st
 from agents.config import CapacitySettings
 from agents.coverage.capacity import centroid_of_detection, detecting_capability, power_radius, sensor_facts, unused_capacity
 from protocol.sensing import SENSOR_CLASSES, Pose, WedgeSensor
+from protocol.settings import BadSetting
+from protocol.user_classes import CheckedSensor
 
 
 class AsStranger:
@@ -78,14 +80,14 @@ def test_a_wedge_whose_probability_falls_to_nothing_is_a_cone() -> None:
 
 
 def test_a_sensor_that_sees_nothing_is_refused() -> None:
-    with pytest.raises(ValueError, match="Blind: the detection probability is 0 everywhere within its reach"):
-        sensor_facts(Blind())
+    with pytest.raises(BadSetting, match="Blind: the detection probability is 0 everywhere within its reach"):
+        sensor_facts(CheckedSensor(Blind(), "fields:Blind"))
 
 
 def test_a_reach_for_which_the_quadrature_is_too_coarse_is_refused() -> None:
     cone = Cone()
     cone.reach = 50.0 * cone.reach  # some 320 points of the quadrature lie within the cone
-    with pytest.raises(ValueError, match=r"only \d+ of 1024 x 1024 places within its reach of .* m are seen, the farthest at 5\.\d+ m"):
+    with pytest.raises(BadSetting, match=r"only \d+ of 1024 x 1024 places within its reach of .* m are seen, the farthest at 5\.\d+ m"):
         sensor_facts(cone)
     cone = Cone()
     cone.reach = 30.0 * cone.reach
