@@ -64,17 +64,6 @@ class SessionWatchdog:
         self._announced.add(name)
         return first
 
-    def is_calm(self, now: float) -> bool:
-        """Whether no expected peer is silent and none has lost its token: `reason_to_reopen` could find nothing in any Hello."""
-        if now > self._calm_until:
-            self._find_silent(now)
-        return now <= self._calm_until and not self._lost
-
-    def note_hellos(self, names: Iterable[str]) -> None:
-        """Note Hellos of several peers; `note_messages` has noted their messages."""
-        self._announced.update(names)
-        self._voters.update(names)
-
     def token_appeared(self, name: str, incarnation: int) -> None:
         """Note that the token of a peer has appeared."""
         self._up[name] = max(incarnation, self._up.get(name, 0))
@@ -105,7 +94,10 @@ class SessionWatchdog:
 
     def reason_to_reopen(self, hello: Hello, now: float) -> str:
         """Take a Hello of a peer; the reason to open the session anew, empty if there is none."""
-        alarm = self._tokenless(hello.sender, now) or self._silent(hello, now)
+        self._voters.add(hello.sender)
+        alarm = self._tokenless(hello.sender, now) if hello.sender in self._lost else ""
+        if not alarm and now > self._calm_until:
+            alarm = self._silent(hello, now)
         if alarm:
             self._listed_by.clear()
             self._since.clear()
@@ -115,8 +107,6 @@ class SessionWatchdog:
 
     def _tokenless(self, name: str, now: float) -> str:
         """The alarm that a peer goes on sending Hellos without a token; empty if there is none."""
-        if name not in self._lost:
-            return ""
         since = self._lost[name]
         if since is None or since > now:
             since = self._lost[name] = now
@@ -126,9 +116,6 @@ class SessionWatchdog:
     def _silent(self, hello: Hello, now: float) -> str:
         """The alarm that most peers list a name that is silent here; empty if there is none."""
         alarm = ""
-        self._voters.add(hello.sender)
-        if now <= self._calm_until:
-            return alarm
         silent = [name for name in self._find_silent(now) if name != hello.sender]
         for name in self._since.keys() - silent:
             del self._listed_by[name], self._since[name]
@@ -202,9 +189,7 @@ class ListenerWatchdog:
 
     def _judge(self, hellos: Iterable[Hello], known: Collection[str], now: float) -> list[Effect]:
         """A `Reopen` if one of the Hellos of known agents is a reason."""
-        self._watchdog.note_hellos(known)
-        if not self._watchdog.is_calm(now):
-            for hello in hellos:
-                if hello.sender in known and (reason := self._watchdog.reason_to_reopen(hello, now)):
-                    return [Reopen(reason)]
+        for hello in hellos:
+            if hello.sender in known and (reason := self._watchdog.reason_to_reopen(hello, now)):
+                return [Reopen(reason)]
         return NO_EFFECTS

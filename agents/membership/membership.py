@@ -69,14 +69,10 @@ class Membership:
         return self._peer_table.gone(event.name, event.incarnation, tick, suspected=suspected)
 
     def take_hellos(self, batch: Batch, now: float) -> list[Effect]:
-        """Take Hellos that arrived together: all senders are heard before one Hello is judged. Those without anything new are noted."""
-        watchdog, announcements = self.session_watchdog, [*batch.messages]
-        watchdog.note_messages(batch.senders, now)
-        if watchdog.is_calm(now):
-            announcements = self._peer_table.new_announcements(batch.messages)
-            watchdog.note_hellos({*batch.senders}.difference([hello.sender for hello in announcements]))
+        """Take Hellos that arrived together: all senders are heard before one Hello is judged."""
+        self.session_watchdog.note_messages(batch.senders, now)
         effects: list[Effect] = NO_EFFECTS
-        for hello in announcements:
+        for hello in batch.messages:
             more = self.take_hello(hello, now)
             effects = more if effects is NO_EFFECTS else [*effects, *more]
         return effects
@@ -86,12 +82,12 @@ class Membership:
         if hello.sender == self._context.name:
             return self.fence(hello.incarnation)
         agreement = self._peer_table.agreement
-        reason = self._peer_table.take_hello(hello) if hello.role == "agent" else None
-        # a refused sender still counts as heard, and the own Hello lists it
-        warnings = agreement.refuse([hello], self._counters) if agreement.differing(hello) else []
+        reason = self._peer_table.take_hello(hello) if hello.role == "agent" else "settings" if agreement.differing(hello) else None
         if reason and reason != "settings":
             self._counters[f"rejected.{reason}"] += 1
-            return [*warnings, *self._warn_of_older(hello.sender, hello.incarnation)]
+            return self._warn_of_older(hello.sender, hello.incarnation)
+        # a sender with other settings still counts as heard, and the own Hello lists it
+        warnings = agreement.refuse([hello], self._counters) if reason else []
         is_new = self.session_watchdog.note_hello(hello.sender, now)
         # a Hello sent when the token of a world appeared can be lost, because the world may not have subscribed yet
         is_restarted_world = hello.role == "world" and 0 < self.world_incarnation < hello.incarnation

@@ -128,16 +128,6 @@ class PeerTable:
         self.interest_set = others if differs else with_peer(others, peer)
         self._all_acceptable = False
 
-    def new_announcements(self, hellos: Iterable[Hello]) -> list[Hello]:
-        """The Hellos of agents that announce anything that the table does not hold, and all Hellos of other roles."""
-        peers, found = self.peers, []
-        for hello in hellos:
-            peer = peers.get(hello.sender)
-            announced = peer.announced if peer is not None and peer.incarnation == hello.incarnation and hello.role == "agent" else None
-            if announced is None or announced_by(hello, self._config) is not announced:
-                found.append(hello)
-        return found
-
     def accept(self, batch: Batch, start: int = 0, tick: int = -1, awaited: set[str] | None = None) -> list[str]:
         """Judge gossips that arrived together, from the row `start` on, and keep those that are accepted.
 
@@ -428,9 +418,10 @@ class PeerTable:
         incarnation that messages alone have stated gives way to that of a token.
         """
         peer = self.peers.get(name)
+        if peer is not None and peer.incarnation == incarnation:
+            return peer
         younger = peer is not None and incarnation > peer.incarnation and (token or not peer.token)
-        had_token = peer is not None and (peer.token or peer.suspected or peer.refused_until is not None)
-        guessed = peer is not None and token and incarnation != peer.incarnation and not had_token
+        guessed = peer is not None and token and not (peer.token or peer.suspected or peer.refused_until is not None)
         if peer is None or younger or guessed:
             is_new, peer = peer is None, Peer(name, incarnation)
             self.positions.remove(name)

@@ -230,6 +230,19 @@ def test_an_announced_class_that_sees_nothing_is_refused_and_ends_nobody() -> No
         Agent(config, "s1", sensor_class="X")
 
 
+def test_a_known_peer_that_says_other_settings_while_all_is_calm_is_named_once() -> None:
+    agent = met()
+    agent.handle(see(0), 0.5)
+    agent.handle(word(0), 0.5)
+    other = hello(settings={"filter": {"speed": 9.0}})
+    said = [*agent.handle(hello(), 0.6), *agent.handle(other, 0.7), *agent.handle(other, 0.8)]
+    consequence = "it computes another PHD and is refused"
+    assert [each for each in said if isinstance(each, Warn)] == [
+        Warn(f"the settings of s2 differ from those of s1 in filter.speed: {consequence}")
+    ]
+    assert agent.counters["rejected.settings"] == 2
+
+
 def test_gossips_are_held_back_only_where_nobody_measures_how_late_they_come() -> None:
     late = msgspec.structs.replace(CONFIG, timing=TimingSettings(look_ahead=1.0))
     assert Agent(CONFIG, "s1").coalesced_keys == "/gossip/" and Agent(late, "s1").coalesced_keys == ""

@@ -376,20 +376,6 @@ def test_with_neighbours_only_a_peer_is_silent_for_its_position_when_it_is_silen
     assert peers.positions.silence_limit == 4
 
 
-def test_news_are_what_the_table_does_not_hold_and_all_that_other_roles_say() -> None:
-    peers, wedge = neighbours("s2"), WedgeSensor(1.0, 9.0, 0.8)
-    known, other_sensor = hello("s2"), msgspec.structs.replace(hello("s2"), sensor=wedge)
-    world = msgspec.structs.replace(hello("world"), role="world")
-    assert peers.new_announcements([known, world, hello("s3"), other_sensor, hello("s2", 2)]) == [
-        world,
-        hello("s3"),
-        other_sensor,
-        hello("s2", 2),
-    ]
-    assert peers.take_hello(other_sensor) is None and peers.new_announcements([known, other_sensor]) == [known]
-    assert peers.take_hello(known) is None and peers.new_announcements([known, other_sensor]) == [other_sensor]
-
-
 def test_the_token_of_an_older_incarnation_replaces_none_whose_own_token_is_suspected() -> None:
     peers = neighbours("s2")
     peers.alive("s2", 3)

@@ -91,27 +91,13 @@ def test_a_clock_that_jumps_raises_no_alarm() -> None:
     assert alarms(watchdog, everybody, 20.0, start=40.0) == []
 
 
-def test_a_time_is_calm_while_all_expected_speak_and_keep_their_tokens() -> None:
+def test_who_falls_silent_after_a_calm_time_is_missed_as_anybody_else() -> None:
     watchdog = SessionWatchdog("s1", TEAM)
-    watchdog.note_messages(("s2", "s3", "s4"), 0.0)
-    assert not watchdog.is_calm(0.0), "the world is silent"
-    watchdog.note_messages(["world"], 0.5)
-    assert watchdog.is_calm(0.5) and watchdog.is_calm(HEARD_LATELY) and not watchdog.is_calm(HEARD_LATELY + 0.1)
-    watchdog.note_messages(TEAM, 4.0)
-    assert watchdog.is_calm(4.0)
-    watchdog.token_vanished("s3", 1)
-    assert not watchdog.is_calm(4.0)
-    watchdog.note_messages(["s3"], 4.5)
-    assert not watchdog.is_calm(4.5), "it speaks without a token"
-    watchdog.token_appeared("s3", 1)
-    assert watchdog.is_calm(4.5)
-
-
-def test_the_hellos_of_a_calm_time_count_as_hellos() -> None:
-    watchdog = SessionWatchdog("s1", TEAM)
-    watchdog.note_messages(TEAM, 0.0)
-    watchdog.note_hellos(("s2", "s4"))
-    assert watchdog.heard(1.0) == ("s2", "s4")
+    for now in (0.0, 2.0):
+        watchdog.note_messages(TEAM, now)
+        assert watchdog.reason_to_reopen(hello("s2", "s3", "s4"), now) == "", "nobody can be silent for a while"
+    found = alarms(watchdog, {"s2": ("s1", "s3", "s4"), "s3": ("s1", "s2", "s4")}, 20.0, start=4.0)
+    assert [reason for _, reason in found] == ["the others hear s4, s1 does not"] and found[0][0] <= 2.0 + HEARD_LATELY + PATIENCE + 2.0
 
 
 def orders(watchdog: ListenerWatchdog, hellos: list[Hello], seconds: float) -> list[Effect]:
