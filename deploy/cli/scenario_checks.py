@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Callable, Iterator, Sequence
-from copy import deepcopy
 from typing import Any, TypeVar
 
 import msgspec
@@ -33,7 +32,7 @@ from protocol.gaussian_components import MOST_MASS
 from protocol.geometry import rectangle
 from protocol.sensing import WedgeSensor
 from protocol.setting_errors import mistakes
-from protocol.settings import BadSetting, load_named, sensor_of
+from protocol.settings import BadSetting, sensor_of
 from world.bodies import check_given, start_poses
 from world.config import TargetSettings
 from world.platform import SIMULATED, platform_class
@@ -216,15 +215,7 @@ def _try_law(scenario: Scenario) -> None:
         velocity, turn_rate = one.command(situation(tick))
         return np.array([*velocity, turn_rate])
 
-    two: tuple[ControlLaw, ControlLaw]
-    if isinstance(load_named(scenario.control.mode), type):
-        two = law, control_law(scenario)
-    else:  # an object that Python was given: the run shall find it as it is
-        try:
-            two = deepcopy(law), deepcopy(law)
-        except Exception:  # it holds a lock, or a file
-            return
-    _ask_two(f"{scenario.control.mode}.command", two, ask, "what `situation` has said to this object alone")
+    _ask_two(f"{scenario.control.mode}.command", (law, control_law(scenario)), ask, "what `situation` has said to this object alone")
 
 
 def _ask_two(what: str, two: tuple[T, T], ask: Callable[[T, int], np.ndarray], source: str) -> None:

@@ -143,27 +143,38 @@ def test_own_classes_and_objects_do_what_their_names_do() -> None:
 
 
 class Remembering(Stay):
-    """A law that answers by how often it was asked, as one object for all agents may."""
+    """A law that answers by how often it was asked."""
 
-    def __init__(self, kept: object = None) -> None:
-        self.asked, self.kept = 0, kept
+    def __init__(self, asked: int = 0, kept: object = None) -> None:
+        self.asked, self.kept = asked, kept
 
     def command(self, situation: object) -> tuple[tuple[float, float], float]:
         self.asked += 1
         return (0.1 * self.asked, 0.0), 0.0
 
 
-@pytest.mark.parametrize("law", [Remembering(), Remembering(kept=threading.Lock())], ids=["can be copied", "cannot be copied"])
-def test_a_law_with_a_memory_may_be_given_as_an_object_which_no_check_asks(law: Remembering) -> None:
-    covey.scenario("quick", control=law)
-    assert law.asked == 0
+def test_each_agent_gets_a_copy_of_a_law_that_is_given_as_an_object_as_it_was_given() -> None:
+    law = Remembering()
+    scenario = covey.scenario("quick", seconds=2, control=law)
+    law.asked = 5
+    runs = [covey.simulate(scenario), covey.simulate(scenario), covey.simulate("quick", seconds=2, control=Remembering)]
+    assert law.asked == 5 and len({run.result.transcript for run in runs}) == 1
+    assert covey.simulate("quick", seconds=2, control=law).result.transcript != runs[0].result.transcript
+
+
+def test_a_law_that_cannot_be_copied_is_refused() -> None:
+    with pytest.raises(covey.BadSetting, match=r"^control = <.*Remembering.*: each agent gets a copy, .* \(TypeError: .*lock"):
+        covey.scenario("quick", control=Remembering(kept=threading.Lock()))
+
+
+class Chance(Stay):
+    """A law of which no run can be repeated."""
+
+    def command(self, situation: object) -> tuple[tuple[float, float], float]:
+        return (float(np.random.random()), 0.0), 0.0
 
 
 def test_an_object_that_answers_by_chance_is_refused_as_its_class_is() -> None:
-    class Chance(Stay):
-        def command(self, situation: object) -> tuple[tuple[float, float], float]:
-            return (float(np.random.random()), 0.0), 0.0
-
     for law in (Chance(), Chance):
         with pytest.raises(covey.BadSetting, match="gives two answers to the same question, of tick 0"):
             covey.scenario("quick", control=law)

@@ -11,7 +11,7 @@ import numpy as np
 
 from covey.arguments import checked
 from covey.columns import Columns, columns_of, to_arrow, to_pandas
-from covey.plugged import name_of
+from covey.plugged import name_of, name_of_law
 from deploy.cli.options import RunOptions
 from deploy.scenario import Scenario, toml_text
 from deploy.scoring.result import Result
@@ -69,9 +69,11 @@ def scenario(
     partition, capacity
         How the arena is divided, and how a sensor's capacity is reckoned.
     control
-        lloyd, static, random, uniform-density, pursuit, search-and-track; or your own: a class, an object, or "module:Class".
+        lloyd, static, random, uniform-density, pursuit, search-and-track; or your own: a class without arguments, an object of which
+        each agent gets a copy, or "module:Class".
     sensors
-        Your own sensor classes by name: a class without arguments, an object, or "module:Class". `team` names them.
+        Your own sensor classes by name: a class without arguments, an object that all agents share, or "module:Class". `team` names
+        them.
     kill
         Agents to kill at a world time: "30%@300", "4@100", "s3,s4@50".
     loss, delay
@@ -79,7 +81,8 @@ def scenario(
     rate
         World seconds per second, without waiting for late agents; default: the world waits for every agent.
     settings
-        Any setting by its dotted name, such as {"detection.clutter": 0.5}.
+        Any setting by its dotted name, such as {"detection.clutter": 0.5}. Your own motions and platforms are named here, as texts
+        "module:Class".
     """
     named: dict[str, Any] = {f"sensors.{key}.model": name_of(sensor) for key, sensor in (sensors or {}).items()}
     named |= settings or {}
@@ -91,7 +94,7 @@ def scenario(
         data=None if data is None else Path(data),
         partition=partition,
         capacity=capacity,
-        control=None if control is None else name_of(control),
+        control=None if control is None else name_of_law(control),
         dt=dt,
         seconds=seconds,
         kill=[kill] if isinstance(kill, str) else list(kill),
