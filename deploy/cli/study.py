@@ -12,7 +12,7 @@ from deploy.cli.study_progress import console_of, run_open_trials
 from deploy.scenario import resolve
 from deploy.storage.run_directory import runs_folder
 from deploy.studies.design import Design, plan
-from deploy.studies.paired import compare, groups_of, summarise
+from deploy.studies.paired import Comparison, Summary, compare, groups_of, summarise
 from deploy.studies.results import StudyFolder
 from deploy.studies.trials import Row, methods_of, run_trial
 
@@ -27,7 +27,8 @@ def run_study(found: Design, into: Path, workers: int | None, scheduler: str | N
     show(rows, console)
     console.print(f"{_short(folder.csv)} and .parquet; covey figures {_short(into)}", soft_wrap=True)
     if as_json:
-        print(json.dumps({"study": found.scenario, "trials": len(rows), "folder": str(into), "groups": summaries(rows)}))
+        head = {"study": found.scenario, "trials": len(rows), "folder": str(into)}
+        print(json.dumps({**head, "groups": summaries(rows), "pairs": pairs(rows)}))
     return 0
 
 
@@ -56,19 +57,24 @@ def show(rows: Sequence[Row], console: Console) -> None:
     for group in groups_of(rows):
         found = [summarise(rows, group, method) for method in methods]
         cells = [f"{one.ospa:.2f} ({one.low:.2f} - {one.high:.2f})" if one else "-" for one in found]
-        pairs = [compare(rows, group, methods[0], other) for other in methods[1:]]
-        gains = [f"{_gain(pair.gain)}, {pair.wins}/{len(pair.differences)}, {_p(pair.wilcoxon)}" if pair else "-" for pair in pairs]
+        gains = [_gain(compare(rows, group, methods[0], other)) for other in methods[1:]]
         in_view = " / ".join(f"{100.0 * one.in_view:.0f}" if one else "-" for one in found)
         table.add_row(group.team, str(group.targets), *cells, *gains, f"{in_view} %")
     console.print(table)
     console.print(
-        "gain: mean difference on the same seeds, seeds won, p of Wilcoxon's signed-rank test; in view: share of targets over the last 5 s",
+        "gain: mean difference on the same seeds with its interval of 95 %, seeds won, p of Wilcoxon's signed-rank test; "
+        "in view: share of targets over the last 5 s",
         soft_wrap=True,
     )
 
 
-def _gain(value: float | None) -> str:
-    return "-" if value is None else f"{100 * value:+.0f} %"
+def _gain(pair: Comparison | None) -> str:
+    """A comparison in a cell."""
+    if pair is None:
+        return "-"
+    low, high = pair.low or 0.0, pair.high or 0.0
+    gain = "-" if pair.gain is None else f"{100 * pair.gain:+.0f} % ({100 * low:.0f} to {100 * high:.0f})"
+    return f"{gain}, {pair.wins}/{len(pair.seeds)}, {_p(pair.wilcoxon)}"
 
 
 def _p(value: float | None) -> str:
@@ -78,4 +84,17 @@ def _p(value: float | None) -> str:
 def summaries(rows: Sequence[Row]) -> list[dict[str, object]]:
     """The table as plain values."""
     found = [summarise(rows, group, method) for group in groups_of(rows) for method in methods_of(rows)]
-    return [{**one._asdict(), **one.group._asdict(), "group": None} for one in found if one]
+    return [_plain(one) for one in found if one]
+
+
+def pairs(rows: Sequence[Row]) -> list[dict[str, object]]:
+    """The comparisons of the first method with each other one as plain values."""
+    first, *others = methods_of(rows)
+    found = [compare(rows, group, first, other) for group in groups_of(rows) for other in others]
+    return [_plain(pair) for pair in found if pair]
+
+
+def _plain(one: Summary | Comparison) -> dict[str, object]:
+    """A tuple with its group's fields in place of the group."""
+    fields = one._asdict()
+    return {**fields.pop("group")._asdict(), **fields}

@@ -11,11 +11,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from deploy.studies.paired import Group, groups_of, values
+from deploy.studies.paired import Group, gains, groups_of, values
 from deploy.studies.trials import Row, methods_of
 
 PARTS = ("never_seen", "lost", "in_view", "false")  # of OSPA and GOSPA
-RESAMPLES = 10_000
 
 
 class MethodSummary(NamedTuple):
@@ -49,22 +48,9 @@ def _line(rows: Sequence[Row], group: Group, method: str, base: str) -> MethodSu
     gospa = _mean(values(rows, group, method, "mean_gospa"))
     parts, gospa_parts = (tuple(_mean(values(rows, group, method, f"{score}_{part}")) for part in PARTS) for score in ("ospa", "gospa"))
     pairs = np.array([(ospa[seed], others[seed]) for seed in ospa if seed in others and method != base]).reshape(-1, 2)
-    gain, low, high = gains(pairs) if pairs[:, 1].any() else (None, None, None)
-    return MethodSummary(group, method, len(ospa), _mean(ospa), gospa, parts, gospa_parts, gain, low, high)
+    return MethodSummary(group, method, len(ospa), _mean(ospa), gospa, parts, gospa_parts, *gains(pairs))
 
 
 def _mean(found: dict[int, float]) -> float:
     """The mean over the seeds."""
     return float(np.mean([*found.values()]))
-
-
-def gains(pairs: np.ndarray) -> tuple[float, float, float]:
-    """The mean gain over paired seeds (N, 2) of OSPA, own and base, and the ends of its interval of 95 %, as shares of the base.
-
-    The bootstrap draws seeds with replacement; its numbers are always the same. Draws in which the base has no error do not count.
-    """
-    drawn = np.random.default_rng(25).integers(0, len(pairs), (RESAMPLES, len(pairs)))
-    drawn = drawn[pairs[drawn, 1].any(axis=1)]
-    own, base = pairs[drawn, 0].mean(axis=1), pairs[drawn, 1].mean(axis=1)
-    low, high = np.quantile(1.0 - own / base, [0.025, 0.975])
-    return float(1.0 - pairs[:, 0].mean() / pairs[:, 1].mean()), float(low), float(high)

@@ -1,10 +1,14 @@
-"""Paired comparisons: the gain of a method over another on the same seeds, and its significance."""
+"""Paired comparisons: the gain of a method over another on the same seeds, its interval, and its significance."""
 
 from collections.abc import Sequence
 from statistics import mean, median
 from typing import NamedTuple
 
+import numpy as np
+
 from deploy.studies.trials import Row
+
+RESAMPLES = 10_000
 
 
 class Group(NamedTuple):
@@ -15,13 +19,16 @@ class Group(NamedTuple):
 
 
 class Comparison(NamedTuple):
-    """`method` against `other` in one group: differences other - method of the steady OSPA, m, one for each seed that both have."""
+    """`method` against `other` in one group, on the seeds that both have; errors are the steady OSPA, m."""
 
     group: Group
     method: str
     other: str
-    differences: tuple[float, ...]
+    seeds: tuple[int, ...]
+    differences: tuple[float, ...]  # error of the other - error of the method, m, one for each seed
     gain: float | None  # mean difference, share of the other's mean; None where the other has no error
+    low: float | None  # ends of the interval of 95 % of the gain
+    high: float | None
     wins: int  # seeds with a smaller error than the other
     wilcoxon: float | None  # p of the signed-rank test, two-sided; None without differences
     sign: float | None  # p of the sign test, two-sided
@@ -46,10 +53,24 @@ def compare(rows: Sequence[Row], group: Group, method: str, other: str) -> Compa
     if not seeds:
         return None
     differences = tuple(theirs[seed] - ours[seed] for seed in seeds)
-    reference = mean(theirs[seed] for seed in seeds)
-    gain = mean(differences) / reference if reference else None
+    gain, low, high = gains(np.array([(ours[seed], theirs[seed]) for seed in seeds]))
     wins = sum(difference > 0.0 for difference in differences)
-    return Comparison(group, method, other, differences, gain, wins, *_tests(differences))
+    return Comparison(group, method, other, tuple(seeds), differences, gain, low, high, wins, *_tests(differences))
+
+
+def gains(pairs: np.ndarray) -> tuple[float | None, float | None, float | None]:
+    """The mean gain over paired seeds (N, 2) of OSPA, own and base, and the ends of its interval of 95 %, as shares of the base.
+
+    None without seeds, and where the base has no error. The bootstrap draws seeds with replacement; its numbers are always the same.
+    Draws in which the base has no error do not count.
+    """
+    if not pairs[:, 1].any():
+        return None, None, None
+    drawn = np.random.default_rng(25).integers(0, len(pairs), (RESAMPLES, len(pairs)))
+    drawn = drawn[pairs[drawn, 1].any(axis=1)]
+    own, base = pairs[drawn, 0].mean(axis=1), pairs[drawn, 1].mean(axis=1)
+    low, high = np.quantile(1.0 - own / base, [0.025, 0.975])
+    return float(1.0 - pairs[:, 0].mean() / pairs[:, 1].mean()), float(low), float(high)
 
 
 def _tests(differences: Sequence[float]) -> tuple[float | None, float | None]:

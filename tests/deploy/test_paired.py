@@ -1,9 +1,14 @@
 """Paired comparisons by hand."""
 
+import itertools
+import json
+
+import numpy as np
 import pytest
 from rich.console import Console
+from scipy.stats import rankdata, wilcoxon
 
-from deploy.cli.study import show
+from deploy.cli.study import pairs, show
 from deploy.studies.paired import Group, compare, groups_of, summarise
 from deploy.studies.trials import Row
 
@@ -37,6 +42,40 @@ def test_eight_wins_of_eight_have_p_of_two_in_two_to_the_eighth() -> None:
     both = rows("power", [1.0] * 8) + rows("voronoi", [1.1, 1.2, 1.3, 1.4, 1.5, 1.6, 1.7, 1.8])
     found = compare(both, GROUP, "power", "voronoi")
     assert found is not None and found.wilcoxon == pytest.approx(2.0 / 256.0) and found.sign == pytest.approx(2.0 / 256.0)
+
+
+def test_p_is_the_share_of_signs_that_are_as_far_from_even_and_what_scipy_says_of_the_pairs() -> None:
+    """Under the null hypothesis each difference has either sign; equal pairs are left out."""
+    ours, theirs = [1.0, 2.0, 3.0, 4.0, 5.0, 6.0], [1.5, 2.9, 2.8, 5.3, 4.7, 8.0]
+    ranks = rankdata(np.abs(np.subtract(theirs, ours)))
+    middle, found = ranks.sum() / 2, ranks[np.subtract(theirs, ours) > 0].sum()
+    sums = [ranks @ signs for signs in itertools.product((0, 1), repeat=6)]
+    share = np.mean([abs(one - middle) >= abs(found - middle) for one in sums])
+    one = compare(rows("power", ours) + rows("voronoi", theirs), GROUP, "power", "voronoi")
+    tied = compare(rows("power", [*ours, 3.0]) + rows("voronoi", [*theirs, 3.0]), GROUP, "power", "voronoi")
+    assert one is not None and tied is not None
+    assert one.wilcoxon == pytest.approx(share) == wilcoxon(ours, theirs).pvalue
+    assert (tied.wilcoxon, tied.wins, len(tied.seeds)) == (one.wilcoxon, 4, 7)
+
+
+def test_the_interval_holds_the_gain_and_is_wider_where_seeds_differ() -> None:
+    """Of equal gains the interval is a point: 1 against 2 m is 50 %."""
+    even, odd = (
+        compare(rows("power", [1.0] * 8) + rows("voronoi", [2.0 - shift, 2.0 + shift] * 4), GROUP, "power", "voronoi") for shift in (0, 0.5)
+    )
+    assert even is not None and (even.gain, even.low, even.high) == (0.5, 0.5, 0.5)
+    assert odd is not None and odd.low is not None and odd.high is not None and odd.low < 0.5 < odd.high
+
+
+def test_the_json_of_a_study_compares_the_first_method_with_each_other_one() -> None:
+    study = [row for name, shift in (("my:Law", 0.0), ("voronoi", 1.0), ("power", 0.5)) for row in rows(name, [1.0 + shift, 2.0 + shift])]
+    found = json.loads(json.dumps(pairs(study)))
+    assert [(pair["team"], pair["targets"], pair["method"], pair["other"]) for pair in found] == [
+        ("2", 30, "my:Law", "voronoi"),
+        ("2", 30, "my:Law", "power"),
+    ]
+    expected = {"seeds": [100, 101], "differences": [1.0, 1.0], "gain": 0.4, "wins": 2, "wilcoxon": 0.5, "sign": 0.5}
+    assert {name: found[0][name] for name in expected} == expected and found[0]["low"] <= 0.4 <= found[0]["high"]
 
 
 def test_equal_methods_have_no_p() -> None:

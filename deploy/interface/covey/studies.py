@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING, Any, Literal
 from covey.arguments import checked
 from covey.columns import Columns, columns_of, to_arrow, to_pandas
 from deploy.studies.design import plan
-from deploy.studies.paired import Summary, groups_of, summarise
+from deploy.studies.paired import Comparison, Summary, compare, groups_of, summarise
 from deploy.studies.results import StudyFolder, read_results
 from deploy.studies.trials import methods_of
+from protocol.settings import BadSetting
 
 if TYPE_CHECKING:
     import pandas
@@ -33,6 +34,21 @@ class Study:
         rows = [dict(row) for row in self.rows]
         found = [summarise(rows, group, method) for group in groups_of(rows) for method in methods_of(rows)]
         return [one for one in found if one is not None]
+
+    def paired(self, method: str, other: str) -> list[Comparison]:
+        """What a method gains over another one on the same seeds, for each team and number of targets; steady OSPA, m.
+
+        Each has `group`, `seeds`, `differences` (other - method, m, one for each seed), `gain` (share of the other's mean) with the ends
+        `low` and `high` of its interval of 95 % (bootstrap over seeds), `wins` (seeds with the smaller error), and the two-sided p of
+        Wilcoxon's signed-rank test (`wilcoxon`) and of the sign test (`sign`). Raises BadSetting for a method that the study has not.
+        """
+        rows = [dict(row) for row in self.rows]
+        names = {argument: _joined(value) for argument, value in (("method", method), ("other", other))}
+        for argument, name in names.items():
+            if name not in (known := methods_of(rows)):
+                raise BadSetting(f"{argument} = {name!r}: should be one of {', '.join(known)}")
+        found = [compare(rows, group, *names.values()) for group in groups_of(rows)]
+        return [pair for pair in found if pair is not None]
 
     def to_pandas(self) -> "pandas.DataFrame":
         """The columns as a pandas.DataFrame; raises ImportError where pandas is not installed."""
