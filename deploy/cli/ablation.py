@@ -6,9 +6,10 @@ from pathlib import Path
 
 from rich.table import Table
 
+from deploy.cli.study import checked_plan
 from deploy.cli.study_progress import console_of, run_open_trials
 from deploy.studies.ablation import PARTS, MethodSummary, lines
-from deploy.studies.design import OPEN_TEAMS, Design, plan
+from deploy.studies.design import OPEN_TEAMS, Design
 from deploy.studies.results import StudyFolder
 from deploy.studies.trials import run_trial
 
@@ -19,7 +20,7 @@ def run_ablation_study(found: Design, into: Path, workers: int | None, scheduler
 
     console, folder = console_of(as_json), StudyFolder(into)
     with folder.claimed():
-        rows = run_open_trials("ablation", folder, plan(found), workers, scheduler, console, run_trial)
+        rows = run_open_trials("ablation", folder, checked_plan(found), workers, scheduler, console, run_trial)
         folder.publish(rows)
         summary = lines(rows)
         paths = write(summary, into)

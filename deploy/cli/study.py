@@ -8,19 +8,20 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
+from deploy.cli.scenario_checks import check_scenario
 from deploy.cli.study_progress import console_of, run_open_trials
 from deploy.scenario import resolve
 from deploy.storage.run_directory import runs_folder
 from deploy.studies.design import Design, plan
 from deploy.studies.paired import Comparison, Summary, compare, groups_of, summarise
 from deploy.studies.results import StudyFolder
-from deploy.studies.trials import Row, methods_of, run_trial
+from deploy.studies.trials import Row, Trial, methods_of, run_trial
 
 
 def run_study(found: Design, into: Path, workers: int | None, scheduler: str | None, as_json: bool) -> int:
     """Run a study to its end. Finished trials are not repeated."""
     console = console_of(as_json)
-    trials, folder = plan(found), StudyFolder(into)
+    trials, folder = checked_plan(found), StudyFolder(into)
     with folder.claimed():
         rows = run_open_trials(found.scenario, folder, trials, workers, scheduler, console, run_trial)
         folder.publish(rows)
@@ -30,6 +31,14 @@ def run_study(found: Design, into: Path, workers: int | None, scheduler: str | N
         head = {"study": found.scenario, "trials": len(rows), "folder": str(into)}
         print(json.dumps({**head, "groups": summaries(rows), "pairs": pairs(rows)}))
     return 0
+
+
+def checked_plan(found: Design) -> list[Trial]:
+    """The trials of a study, one of each method checked as `covey check` does it; raises BadSetting for the first mistake."""
+    trials = plan(found)
+    for method in found.methods:
+        check_scenario(next(trial for trial in trials if trial.method == method).resolve())
+    return trials
 
 
 def _short(path: Path) -> str:

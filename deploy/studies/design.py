@@ -6,7 +6,7 @@ from typing import Any
 import msgspec
 
 from deploy.scenario import TeamSettings, team_counts
-from deploy.studies.trials import ABLATIONS, METHODS, Trial, check_free, check_method
+from deploy.studies.trials import ABLATIONS, Trial, check_free, check_method, settings_of
 from protocol.settings import BadOption, BadSetting
 
 
@@ -16,7 +16,7 @@ class Design(msgspec.Struct, frozen=True, kw_only=True):
     scenario: str
     teams: tuple[str, ...]
     targets: tuple[int, ...]
-    methods: tuple[str, ...]
+    methods: tuple[str, ...]  # of METHODS, or control laws `module:Class`
     trials: int = 10
     first_seed: int = 100  # of the seeds 100, 101, ...; the defaults of the scenarios were found with smaller ones
     options: dict[str, Any] = {}  # dotted settings of all trials
@@ -48,7 +48,13 @@ STUDIES: dict[str, Design] = {
         elsewhere={"1": ("convergence", 8)},
     ),
 }
-OWN_OPTIONS = {"run.seed": "seed", "team.composition": "teams", "targets.count": "targets"}  # of a study, by the settings of its trials
+OWN_OPTIONS = {  # of a study, by the settings of its trials
+    "run.seed": "seed",
+    "team.composition": "teams",
+    "targets.count": "targets",
+    "partition.kind": "methods",
+    "control.mode": "methods",  # rows bear the name of their law
+}
 QUICK: dict[str, dict[str, Any]] = {  # what --quick lays over a study: under 3 minutes on 2 cores
     "convergence": {"trials": 4, "options": {"run.dt": 0.5}},
     "efficacy": {"trials": 3, "options": {"run.dt": 0.5, "run.seconds": 40.0}},
@@ -73,7 +79,7 @@ def plan(found: Design) -> list[Trial]:
     """All trials, seed by seed, so that a study that is cut short has compared everything equally often; checked by resolving them."""
     for name in found.methods:
         check_method(name)
-    by_all = set.intersection(*(set(METHODS[name]) for name in found.methods))
+    by_all = set.intersection(*(set(settings_of(name)) for name in found.methods))
     check_free(found.options, dict.fromkeys(by_all, "methods") | OWN_OPTIONS)
     for team in found.teams:
         team_counts(TeamSettings(composition=team, triple=found.options.get("team.triple", "ACD")))

@@ -16,6 +16,8 @@ from typing import Any
 
 import msgspec
 
+from agents.config import AgentConfig, ControlSettings
+from agents.coverage.laws import control_law
 from deploy.scenario import SEARCH_EXTRACTION, Scenario, find, resolve, toml_value, user_classes
 from deploy.scoring.error_parts import ErrorParts
 from deploy.scoring.result import Result
@@ -92,13 +94,13 @@ class Trial(msgspec.Struct, frozen=True, kw_only=True):
     seed: int
     team: str
     targets: int
-    method: str  # a key of METHODS
+    method: str  # a key of METHODS, or a control law `module:Class`
     options: dict[str, Any] = {}  # dotted settings beside those that the fields above and the method make
 
     def overrides(self) -> dict[str, Any]:
         """All dotted settings, those of the method last."""
         own = {"run.seed": self.seed, "team.composition": self.team, "targets.count": self.targets}
-        return {**self.options, **own, **METHODS[self.method]}
+        return {**self.options, **own, **settings_of(self.method)}
 
     def resolve(self) -> Scenario:
         """The scenario to run; raises BadSetting naming what is wrong."""
@@ -161,10 +163,24 @@ def check_free(options: Mapping[str, Any], taken: Mapping[str, str]) -> None:
             raise BadSetting(f"{dotted} = {options[dotted]!r}: the study itself sets it; should be given as {taken[dotted]}")
 
 
+def settings_of(method: str) -> dict[str, Any]:
+    """The dotted settings of a method; those of a control law of the user's own, `module:Class`, are the paper's but for the law."""
+    return METHODS.get(method, {"partition.kind": "power", "control.mode": method})
+
+
 def check_method(name: str) -> None:
-    """Raise BadOption unless there is such a method."""
-    if name not in METHODS:
-        raise BadOption("methods", name, f"should be one or more of {', '.join(METHODS)}")
+    """Raise BadOption unless there is such a method, or a control law of that name."""
+    if name in METHODS:
+        return
+    if ":" not in name:
+        raise BadOption("methods", name, f"should be one or more of {', '.join(METHODS)}, or a control law of your own as module:Class")
+    if name.startswith("__main__:") or "<locals>" in name:
+        right = "should be at the top of a file that is imported, as module:Class"
+        raise BadOption("methods", name, f"trials run in processes of their own, which lack this class; {right}")
+    try:
+        control_law(AgentConfig(control=ControlSettings(mode=name)))
+    except BadSetting as error:
+        raise BadOption("methods", name, str(error).partition(": ")[2]) from error.__cause__
 
 
 def fingerprint() -> str:
@@ -233,5 +249,5 @@ def cost(scenario: Scenario) -> float:
 
 
 def methods_of(rows: Sequence[Row]) -> list[str]:
-    """The methods that occur, in the order of METHODS."""
-    return [name for name in METHODS if any(row["method"] == name for row in rows)]
+    """The methods that occur, in the order of the rows, which is that of the plan."""
+    return list(dict.fromkeys(row["method"] for row in rows))

@@ -23,7 +23,6 @@ from deploy.cli.options import RunOptions
 from deploy.faults.faults import check_faults
 from deploy.scenario import resolve
 from deploy.simulation import simulate
-from deploy.studies.design import plan
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -250,16 +249,21 @@ def test_a_recording_gives_back_the_run_that_it_holds(tmp_path: Path, monkeypatc
 
 @pytest.mark.slow
 def test_a_study_gives_its_rows_and_goes_on_where_it_was(tmp_path: Path) -> None:
-    options = {"trials": 1, "methods": ["power", "static"], "seconds": 2.0, "workers": 1, "into": tmp_path / "study"}
-    study = covey.study("convergence", **options)
-    assert len(study) == len(plan_of(options)) == 2
-    assert repr(study) == f"<Study in {tmp_path / 'study'}: 2 trials of power, static>"
-    assert [one.method for one in study.summary()] == ["power", "static"]
-    assert study.columns()["steady_ospa"].shape == (2,)
+    options = {"trials": 1, "methods": [Stay, "static", "power"], "seconds": 2.0, "workers": 1, "into": tmp_path / "study"}
+    study, law = covey.study("convergence", **options), f"{__name__}:Stay"
+    assert len(study) == 3
+    assert repr(study) == f"<Study in {tmp_path / 'study'}: 3 trials of {law}, static, power>"
+    assert [one.method for one in study.summary()] == [law, "static", "power"]
+    assert study.columns()["steady_ospa"].shape == (3,) and len(set(study.columns()["transcript"])) == 2
+    (pair,) = study.paired(Stay, "power")
+    assert (pair.method, pair.other, pair.seeds) == (law, "power", (100,))
+    assert pair.differences == (study.rows[2]["steady_ospa"] - study.rows[0]["steady_ospa"],)
+    with pytest.raises(covey.BadSetting, match=f"^other = 'voronoi': should be one of {law}, static, power$"):
+        study.paired("power", "voronoi")
     began = (tmp_path / "study" / "trials.jsonl").stat().st_mtime_ns
     assert covey.study("convergence", **options).rows == study.rows
     assert (tmp_path / "study" / "trials.jsonl").stat().st_mtime_ns == began
-    assert covey.load_study(tmp_path / "study").columns()["seed"].tolist() == [100, 100]
+    assert covey.load_study(tmp_path / "study").columns()["seed"].tolist() == [100, 100, 100]
 
 
 @pytest.mark.parametrize(
@@ -269,7 +273,11 @@ def test_a_study_gives_its_rows_and_goes_on_where_it_was(tmp_path: Path) -> None
         ({"workers": "two"}, "^workers = 'two': should be a whole number$"),
         ({"trials": 0}, "^trials = 0: should be at least 1$"),
         ({"methods": "p"}, "^methods = 'p': should be one or more of power"),
-        ({"methods": ["power", 3]}, r"^methods = \['power', 3\]: should be a text or a list of texts$"),
+        ({"methods": ["power", 3]}, r"^methods = \['power', 3\]: should be a text or a class or a list of texts or classes$"),
+        ({"methods": [Stay()]}, r"^methods = .*Stay.*: should be a text or a class or a list of texts or classes$"),
+        ({"methods": type("Law", (Stay,), {"__module__": "__main__"})}, "^methods = '__main__:Law': trials run in processes of their own"),
+        ({"methods": "power,my_laws:Corners"}, "^methods = 'my_laws:Corners': No module named 'my_laws': it should lie in"),
+        ({"methods": ["power", Chance]}, "Chance.command gives two answers to the same question, of tick 0"),
         ({"targets": 3.5}, "^targets = 3.5: should be a whole number or a list of whole numbers$"),
         ({"name": "robustness"}, "^name = 'robustness': should be one of convergence, efficacy, heterogeneity, ablation$"),
         ({"teams": "A2", "methods": "power", "targets": 3, "settings": {"run.sede": 1}}, "run.sede: there is no such field"),
@@ -307,14 +315,6 @@ def test_any_sequence_is_taken_and_an_object_stays_itself_whatever_else_it_is() 
 def test_elementwise_takes_what_numpy_makes_an_array_of() -> None:
     assert covey.elementwise(math.exp, [0.0, 1.0]).tolist() == [1.0, math.e]
     assert covey.elementwise(math.atan2, np.zeros((1, 2)), [[1.0, 2.0]]).tolist() == [[0.0, 0.0]]
-
-
-def plan_of(options: dict[str, object]) -> list[object]:
-    """The trials that the command plans for these options."""
-    from deploy.studies.design import design_fields, design_with
-
-    given = design_fields(1, None, None, None, "power,static")
-    return list(plan(design_with("convergence", False, given, {"run.seconds": 2.0})))
 
 
 def test_tables_need_their_packages_and_say_so(run: covey.Run, monkeypatch: pytest.MonkeyPatch) -> None:

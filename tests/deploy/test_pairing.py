@@ -2,12 +2,16 @@
 
 from pathlib import Path
 
+import msgspec
 import pytest
 
 from agents.config import ExtractionSettings
+from agents.coverage.control import STAND, ControlInput, Situation
 from deploy.scenario import resolve
 from deploy.studies import trials
-from deploy.studies.trials import ABLATIONS, METHODS, Trial
+from deploy.studies.design import Design, plan
+from deploy.studies.trials import ABLATIONS, METHODS, Trial, methods_of, run_trial
+from protocol.settings import BadSetting
 
 
 def trial(method: str, **options: object) -> Trial:
@@ -24,6 +28,35 @@ def test_a_partition_is_compared_under_its_own_name(kind: str) -> None:
 def test_a_control_law_is_compared_on_power_cells(mode: str) -> None:
     scenario = trial(mode).resolve()
     assert (scenario.partition.kind, scenario.control.mode) == ("power", mode)
+
+
+class Stay:
+    """A control law of the user's own."""
+
+    def command(self, situation: Situation) -> ControlInput:
+        return STAND
+
+
+def test_a_law_of_the_users_own_is_a_method_and_its_rows_bear_its_name() -> None:
+    law = f"{__name__}:Stay"
+    found = plan(Design(scenario="quick", teams=("2A",), targets=(3,), methods=(law, "power"), trials=1, options={"run.seconds": 1.0}))
+    scenarios = [one.resolve() for one in found]
+    assert [(one.partition.kind, one.control.mode) for one in scenarios] == [("power", law), ("power", "lloyd")]
+    assert msgspec.structs.replace(scenarios[0], control=scenarios[1].control) == scenarios[1]
+    assert methods_of([run_trial(one) for one in found]) == [law, "power"] and f"--control {law}" in found[0].command()
+
+
+@pytest.mark.parametrize(
+    ("law", "says"),
+    [
+        (f"{__name__}:Sty", f"module {__name__} has no Sty; did you mean Stay[?]"),
+        (f"{__name__}:trial", "trial: missing a required argument: 'method'; .*: should be a class"),
+        ("__main__:Stay", "trials run in processes of their own, which lack this class; should be at the top of a file"),
+    ],
+)
+def test_a_law_that_cannot_be_imported_is_refused_before_a_trial(law: str, says: str) -> None:
+    with pytest.raises(BadSetting, match=f"^--methods {law}: .*{says}"):
+        plan(Design(scenario="quick", teams=("2A",), targets=(3,), methods=("power", law)))
 
 
 def test_options_of_a_study_do_not_outweigh_the_method_the_seed_or_the_team() -> None:

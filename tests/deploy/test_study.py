@@ -41,7 +41,7 @@ def test_what_cannot_be_run_is_refused_before_anything_runs() -> None:
         BadSetting, match="study 'eficacy' does not exist; known are convergence, efficacy, heterogeneity, ablation, robustness, bodies"
     ):
         design("eficacy")
-    with pytest.raises(BadSetting, match="--methods lloyd"):
+    with pytest.raises(BadSetting, match=r"--methods lloyd: should be .* static, or a control law of your own as module:Class$"):
         plan(Design(scenario="efficacy", teams=("2",), targets=(30,), methods=("lloyd",)))
     with pytest.raises(BadSetting, match=r"team\.composition = '9'"):
         plan(Design(scenario="efficacy", teams=("9",), targets=(30,), methods=("power",)))
@@ -56,7 +56,8 @@ def test_what_cannot_be_run_is_refused_before_anything_runs() -> None:
         ("team.composition", ("power",), "teams"),
         ("targets.count", ("power",), "targets"),
         ("partition.kind", ("power", "voronoi"), "methods"),
-        ("control.mode", ("search-and-track", "static"), "methods"),
+        ("control.mode", ("power",), "methods"),
+        ("extraction.bin", ("power-extraction", "paper-extraction"), "methods"),
     ],
 )
 def test_a_setting_that_no_trial_would_have_is_refused_and_named_with_its_option(
@@ -68,8 +69,8 @@ def test_a_setting_that_no_trial_would_have_is_refused_and_named_with_its_option
 
 
 def test_a_setting_that_some_method_leaves_free_is_that_of_its_trials() -> None:
-    found = Design(scenario="quick", teams=("2A",), targets=(3,), methods=("power", "static"), options={"control.mode": "random"})
-    assert [trial.resolve().control.mode for trial in plan(found)][:2] == ["random", "static"]
+    found = Design(scenario="quick", teams=("2A",), targets=(3,), methods=("power", "power-extraction"), options={"extraction.bin": 2.0})
+    assert [trial.resolve().extraction.bin for trial in plan(found)][:2] == [2.0, 0.7]
 
 
 def test_a_torn_line_is_cut_off_and_the_rest_counts(tmp_path: Path) -> None:
@@ -113,7 +114,7 @@ def test_results_are_read_back_from_either_file_or_the_folder(tmp_path: Path) ->
     folder.publish(rows)
     expected = [{name: value for name, value in one.items() if name not in ("wall_s", "key")} for one in rows]
     assert read_results(folder.parquet) == read_results(folder.csv) == read_results(tmp_path) == expected
-    assert methods_of(expected) == ["power", "voronoi"]
+    assert methods_of(expected) == ["power", "voronoi"] and methods_of(expected[::-1]) == ["voronoi", "power"]
 
 
 def test_files_that_are_no_results_are_refused_by_name(tmp_path: Path) -> None:

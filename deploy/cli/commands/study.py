@@ -54,7 +54,8 @@ def study(
     targets
         Numbers of targets at the start, with commas.
     methods
-        With commas: power, voronoi, voronoi-cod, pursuit, search-and-track, uniform-density, random, static, and those of the ablation.
+        With commas: power, voronoi, voronoi-cod, pursuit, search-and-track, uniform-density, random, static, those of the ablation,
+        and control laws of your own as module:Class. The first is compared with each of the others.
         Of bodies: points, radius, mujoco.
     faults
         Of robustness, with commas: kill, loss, bursts, delay, throttle, partition; default: all.

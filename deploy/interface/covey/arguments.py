@@ -22,6 +22,7 @@ WORDS: dict[object, tuple[str, str]] = {  # one, and several
     int: ("a whole number", "whole numbers"),
     float: ("a number", "numbers"),
     bool: ("True or False", "truth values"),
+    type: ("a class", "classes"),
     Path: ("a path", "paths"),
     Mapping: ("a dict with texts as keys", "dicts"),
     Callable: ("a function", "functions"),
@@ -75,13 +76,13 @@ def _fits(value: Any, hint: Any) -> bool:
     return kind is Any or isinstance(value, kind)
 
 
-def _words(hint: Any) -> str:
-    """An annotated type in words."""
+def _words(hint: Any, number: int = 0) -> str:
+    """An annotated type in words; `number` 1: several of them."""
     kind, parts = get_origin(hint) or hint, get_args(hint)
     if kind in (Union, types.UnionType):
-        return " or ".join(_words(part) for part in parts if part is not types.NoneType)
+        return " or ".join(_words(part, number) for part in parts if part is not types.NoneType)
     if kind is Literal:
         return f"one of {', '.join(map(str, parts))}"
     if kind is Sequence:
-        return f"a list of {WORDS[parts[0]][1]}"
-    return WORDS[kind][0] if kind in WORDS else f"a {kind.__name__}"
+        return f"a list of {_words(parts[0], 1)}"
+    return WORDS[kind][number] if kind in WORDS else f"a {kind.__name__}"

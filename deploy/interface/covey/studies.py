@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from covey.arguments import checked
 from covey.columns import Columns, columns_of, to_arrow, to_pandas
-from deploy.studies.design import plan
 from deploy.studies.paired import Comparison, Summary, compare, groups_of, summarise
 from deploy.studies.results import StudyFolder, read_results
 from deploy.studies.trials import methods_of
@@ -35,7 +34,7 @@ class Study:
         found = [summarise(rows, group, method) for group in groups_of(rows) for method in methods_of(rows)]
         return [one for one in found if one is not None]
 
-    def paired(self, method: str, other: str) -> list[Comparison]:
+    def paired(self, method: str | type, other: str | type) -> list[Comparison]:
         """What a method gains over another one on the same seeds, for each team and number of targets; steady OSPA, m.
 
         Each has `group`, `seeds`, `differences` (other - method, m, one for each seed), `gain` (share of the other's mean) with the ends
@@ -75,7 +74,7 @@ def study(
     seed: int | None = None,
     teams: str | Sequence[str] | None = None,
     targets: int | Sequence[int] | None = None,
-    methods: str | Sequence[str] | None = None,
+    methods: str | type | Sequence[str | type] | None = None,
     triple: str | None = None,
     capacity: str | None = None,
     dt: float | None = None,
@@ -97,8 +96,11 @@ def study(
         Few short trials.
     trials, seed
         Seeds for each combination of team, number of targets and method, and the first of them.
-    teams, targets, methods
-        What is compared, one or several: compositions such as "20E+4H", numbers of targets, and power, voronoi, voronoi-cod and others.
+    teams, targets
+        One or several: compositions such as "20E+4H", and numbers of targets.
+    methods
+        What is compared, one or several: power, voronoi, voronoi-cod and others, and control laws of your own, each a class in a module
+        that other processes can import, or "module:Class".
     triple, capacity, dt, seconds, settings
         Of all trials, as in `scenario`.
     into
@@ -106,7 +108,7 @@ def study(
     workers
         Processes; default: one for each core.
     """
-    from deploy.cli.study import default_folder
+    from deploy.cli.study import checked_plan, default_folder
     from deploy.cli.study_progress import console_of, run_open_trials
     from deploy.installation import need_study_packages
     from deploy.studies.design import check_workers, design_fields, design_with, dotted_options
@@ -118,7 +120,7 @@ def study(
     given = design_fields(trials, seed, *joined)
     options = {**dotted_options(triple, capacity, dt, seconds), **(settings or {})}
     found = design_with(name, quick, given, options)
-    planned, folder = plan(found), StudyFolder(Path(into) if into is not None else default_folder(name, quick))
+    planned, folder = checked_plan(found), StudyFolder(Path(into) if into is not None else default_folder(name, quick))
     with folder.claimed():
         console = console_of(as_json=True)
         rows = run_open_trials(found.scenario, folder, planned, workers, None, console, run_trial)
@@ -126,9 +128,10 @@ def study(
     return Study(folder.path, tuple(rows))
 
 
-def _joined(values: str | int | Sequence[str | int]) -> str:
-    """One value, or several with commas, as the command takes them."""
-    return ",".join(map(str, [values] if isinstance(values, str | int) else values))
+def _joined(values: str | int | type | Sequence[str | int | type]) -> str:
+    """One value, or several with commas, as the command takes them; classes by name."""
+    several = [values] if isinstance(values, str | int | type) else values
+    return ",".join(f"{value.__module__}:{value.__qualname__}" if isinstance(value, type) else str(value) for value in several)
 
 
 @checked
