@@ -16,6 +16,7 @@ from agents.membership.peer_table import MOST_STRANGERS
 from agents.tracking.gaussians import unpacked, weighted_points
 from deploy.scenario import Scenario
 from deploy.scoring.result import Fault
+from deploy.scoring.run_end import ends_run
 from protocol.keys import order
 from protocol.measuring import to_places
 from protocol.messages import Gossip, Hello, Observation
@@ -123,6 +124,7 @@ class Picture:
         self.roster_version = 0  # grows when an agent or its sensor becomes known
         self.version = 0  # grows with everything that is heard
         self.paused: frozenset[str] = frozenset()  # as the supervisor says
+        self._is_over = False  # the last tick is past and the world has ended, or a body: agents that leave are dismissed
         self._presence = Presence(scenario.members)
         self._strangers: dict[str, None] = {}  # the agents that are not in the roster and have no token, the earliest first
         self._numbered = 0
@@ -138,6 +140,7 @@ class Picture:
     def see(self, event: Event, now: float) -> None:
         """Take one event."""
         self.version += 1
+        self._is_over = self._is_over or ends_run(event, self.truth, self.scenario.run.ticks)
         match event:
             case Received(batch=batch):
                 self.messages += len(batch)
@@ -146,7 +149,7 @@ class Picture:
                     self._hear(message)
             case Alive(role="agent"):
                 self._appear(event.name, event.incarnation)
-            case Gone(role="agent"):
+            case Gone(role="agent") if not self._is_over:
                 self._vanish(event.name, event.incarnation)
             case Alive(role="world") if self.truth is not None:
                 self.note("world", "world", "the world is back")
@@ -177,6 +180,7 @@ class Picture:
     def forget(self) -> None:
         """Forget all messages and keep the roster and the time line: a replay has jumped."""
         self.truth = self.shown = None
+        self._is_over = False
         self.trail.clear()
         for known in self.agents.values():
             known.forget()

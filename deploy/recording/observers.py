@@ -62,8 +62,6 @@ class Observers:
 
     def __init__(self, scorer: Scorer, recorder: Recorder | None, page: "PageServer | None" = None) -> None:
         self._scorer = scorer
-        self._last_tick = scorer.last_tick
-        self._is_over = False
         self._recorder = recorder
         self._page = page
         self._listeners: list[Callable[[Event, float], None]] = [recorder.see] if recorder else []
@@ -103,8 +101,8 @@ class Observers:
             self._page.source.picture.note("told", told.who, told.text, told.time)
 
     def _see(self, event: Event, now: float) -> None:
-        if isinstance(event, Gone):
-            self._notice_end(event)
+        if isinstance(event, Gone) and event.role == "agent" and self._scorer.is_over:
+            self._freeze()
         for listener in list(self._listeners):
             try:
                 listener(event, now)
@@ -112,14 +110,8 @@ class Observers:
                 log.exception("an onlooker failed and is left out from here on")
                 self._listeners.remove(listener)
 
-    def _notice_end(self, gone: Gone) -> None:
-        """Freeze the page after the last tick: agents that leave then have not died."""
-        truth = self._scorer.truth
-        self._is_over |= gone.role == "world" and truth is not None and truth.tick >= self._last_tick
-        if self._is_over and gone.role == "agent":
-            self._freeze()
-
     def _freeze(self) -> None:
+        """The page keeps what it shows, and says that the run is over."""
         if self._page is not None:
             self._page.freeze()
             self._listeners = [listener for listener in self._listeners if listener != self._page.source.picture.see]

@@ -16,6 +16,7 @@ from deploy.scenario import Scenario, agent_config, bodies_of, world_config
 from deploy.scoring.chronicle import Chronicle, ScoredTick
 from deploy.scoring.deaths import Deaths
 from deploy.scoring.result import EventReport, Fault, Result
+from deploy.scoring.run_end import ends_run
 from deploy.scoring.scores import NO_SCORE, Coverage, Score, hole_and_overlap, mean, share_in_view, steady_part, why
 from deploy.scoring.status import AgentStatus, Status
 from deploy.scoring.tick_rate import TickRateMeter
@@ -74,6 +75,7 @@ class Scorer(Node):
         self.on_truth: Callable[[Truth], None] = lambda truth: None  # called with every new tick of the world
         self.on_event: Callable[[Event, float], None] = lambda event, now: None  # called first with every event: recorder, page
         self.missing: tuple[str, ...] = ()  # members that were not there at the first tick
+        self.is_over = False  # the last tick is past and the world has ended, or a body: agents that leave are dismissed
         self.faults: list[Fault] = []  # ordered faults that no message shows
         self.on_fault: Callable[[Fault], None] = lambda fault: None
         self.on_report: Callable[[EventReport], None] = lambda told: None  # called with the effect of an event, once it is known
@@ -129,6 +131,7 @@ class Scorer(Node):
 
     def _take(self, event: Event, now: float) -> None:
         self.on_event(event, now)
+        self.is_over = self.is_over or ends_run(event, self.truth, self.last_tick + 1)
         match event:
             case Received(batch=batch):
                 self._tally.messages += len(batch)
@@ -143,7 +146,7 @@ class Scorer(Node):
                     self._names = dict.fromkeys(sorted([*self._names, event.name], key=order))
             case Alive(role="body") if event.name in self._names:
                 self.greeted.add(self._bodies.get(event.name, event.name))
-            case Gone(role="agent") if self._presence.vanish(event.name, event.incarnation):
+            case Gone(role="agent") if not self.is_over and self._presence.vanish(event.name, event.incarnation):
                 self._lose(event.name, event.incarnation, now)
             case Rejected():
                 self._tally.rejected += 1

@@ -205,6 +205,38 @@ def test_after_the_finish_nobody_who_leaves_counts_as_lost(scenario: Scenario) -
     assert scorer.result(1.0).kills == ()
 
 
+@pytest.mark.parametrize(("role", "name"), [("world", "world"), ("body", "b")])
+def test_agents_that_leave_after_the_last_tick_and_the_world_are_dismissed_and_their_last_estimates_count(
+    scenario: Scenario, role: str, name: str
+) -> None:
+    scorer = started(scenario)
+    for tick in range(10):
+        scorer.handle(truth(tick), float(tick))
+        scorer.handle(estimate("b", tick, RIGHT), float(tick))
+        if tick < 9:
+            scorer.handle(estimate("a", tick, LEFT), float(tick))
+        if tick == 8:
+            scorer.handle(Gone(role, name, 1), 8.5)
+            scorer.handle(Alive(role, name, 2), 8.5)
+            assert not scorer.is_over  # it has died and come back
+    scorer.handle(Gone(role, name, 2), 10.0)
+    assert scorer.is_over
+    scorer.handle(Gone("agent", "b", 1), 10.1)
+    scorer.handle(estimate("a", 9, LEFT), 10.1)
+    scorer.handle(Gone("agent", "a", 1), 10.2)
+    scorer.finish(11.0)
+    assert [score.hole for score in scorer.scores] == [0.0] * 10
+    assert (scorer.result(11.0).kills, scorer.result(11.0).events, scorer.alive()) == ((), (), {"a": 1, "b": 1})
+
+
+def test_an_agent_that_dies_in_the_last_tick_before_the_world_ends_has_died(scenario: Scenario) -> None:
+    scorer = started(scenario)
+    scorer.handle(truth(9), 9.0)
+    scorer.handle(Gone("agent", "a", 1), 9.5)
+    scorer.handle(Gone("world", "world", 1), 10.0)
+    assert [kill.name for kill in scorer.result(10.0).kills] == ["a"]
+
+
 def test_the_loss_of_an_old_incarnation_is_no_loss(scenario: Scenario) -> None:
     scorer = started(scenario)
     scorer.handle(truth(0), 0.0)

@@ -280,9 +280,10 @@ def leave(simulation: Simulation, *tokens: tuple[str, str]) -> None:
         simulation.scorer.handle(Gone(role, name, 1), simulation.bus.now)  # type: ignore[arg-type]
 
 
-def test_who_leaves_after_the_last_tick_of_the_world_is_no_dead_on_the_page() -> None:
+@pytest.mark.parametrize("first", [("world", "world"), ("body", "s1")])
+def test_who_leaves_after_the_last_tick_of_the_world_is_no_dead_on_the_page(first: tuple[str, str]) -> None:
     simulation, server = watched(12)
-    leave(simulation, ("world", "world"), ("agent", "s1"), ("agent", "s2"))
+    leave(simulation, first, ("agent", "s1"), ("agent", "s2"))
     assert states(server) == ["alive"] * 3
     assert server.is_frozen
 

@@ -85,6 +85,18 @@ def test_an_agent_that_is_lost_and_comes_back_stands_on_the_time_line_with_the_w
     assert picture.agents["s1"].state == "alive"
 
 
+@pytest.mark.parametrize("role", ["world", "body"])
+def test_agents_that_leave_after_the_last_tick_and_the_world_stay_as_they_were(role: str) -> None:
+    last = scenario().run.ticks - 1
+    picture = shown(Alive("agent", "s1", 1), truth(last), Gone(role, "s1", 1), Gone("agent", "s1", 1))
+    assert picture.agents["s1"].state == "alive"
+    assert ("lost", "s1") not in kinds(picture)
+    picture.forget()  # a replay goes back
+    for event in (Alive("agent", "s1", 1), received(truth(8)), Gone("agent", "s1", 1)):
+        picture.see(event, 0.0)
+    assert picture.agents["s1"].state == "dead"
+
+
 def test_a_token_of_an_old_incarnation_that_goes_changes_nothing() -> None:
     picture = shown(Alive("agent", "s1", 1), truth(8), Gone("agent", "s1", 1), Alive("agent", "s1", 2), Gone("agent", "s1", 1))
     assert picture.agents["s1"].alive
