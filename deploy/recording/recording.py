@@ -28,7 +28,7 @@ from deploy.storage.kept_runs import find_run, recordings_in
 from deploy.storage.run_directory import runs_folder
 from protocol import codec
 from protocol.fields import Malformed
-from protocol.keys import parse_token
+from protocol.keys import parse_message_key, parse_token
 from protocol.node import Alive, Event, Gone, Rejected, received
 from protocol.settings import BadSetting, convert
 
@@ -114,6 +114,28 @@ class Recording:
                     raise BadSetting(f"{self.path}: the chunk at byte {span.offset} is damaged: {error}") from None
                 yield from found
 
+    def played(self, first: int = 0) -> Iterator[RecordedEntry]:
+        """The entries from chunk `first` on; of a run that was ended early without the tokens that its agents lost by that.
+
+        All processes of such a run are ended at once, and their tokens go in any order. So an agent that leaves after the last Truth has
+        not died, if the world or a body leaves there as well. Of a run that went to its end the order tells (`ends_run`).
+        """
+        run = self.scenario.run
+        if self.seconds > (run.ticks - 1.5) * run.dt:
+            yield from self.entries(first)
+            return
+        held: list[RecordedEntry] = []  # from the first token on that has gone after a Truth
+        for entry in self.entries(first):
+            if held and _is_truth(entry):
+                yield from held
+                held.clear()
+            if held or _role_of_leaver(entry):
+                held.append(entry)
+            else:
+                yield entry
+        was_ended = any(_role_of_leaver(entry) in ("world", "body") for entry in held)
+        yield from (entry for entry in held if not was_ended or _role_of_leaver(entry) != "agent")
+
     def _entries_of(self, chunk: Chunk) -> list[RecordedEntry]:
         found = []
         for record in breakup_chunk(chunk, validate_crc=True):
@@ -197,6 +219,17 @@ def event_of(entry: RecordedEntry) -> Event:
         return received(codec.decode(entry.key, entry.payload), payloads=[entry.payload])
     except Malformed as error:
         return Rejected(entry.key.rpartition("/")[2], error.reason, entry.key, entry.payload)
+
+
+def _role_of_leaver(entry: RecordedEntry) -> str | None:
+    """The role of the process whose token goes with this entry, if it is one that goes."""
+    token = parse_token(entry.key)
+    return token.role if token is not None and isinstance(event_of(entry), Gone) else None
+
+
+def _is_truth(entry: RecordedEntry) -> bool:
+    parts = parse_message_key(entry.key)
+    return parts is not None and parts.kind == "truth"
 
 
 def find_recording(name: str) -> Path:

@@ -47,7 +47,7 @@ class ReplaySource:
         self._scorer.on_report = lambda told: self._historian.note("told", told.who, told.text, told.time)
         self._faults = deque(recording.faults)  # that do not stand on the time line yet
         self.picture.take_happenings(self._historian)
-        self._entries: Iterator[RecordedEntry] = recording.entries()
+        self._entries: Iterator[RecordedEntry] = recording.played()
         self._next: RecordedEntry | None = None
 
     @property
@@ -129,7 +129,7 @@ class ReplaySource:
         spans, scenario = self._recording.spans, self._recording.scenario
         first = max(0, bisect.bisect_right([span.start for span in spans], self.clock - max(TRAIL, KEPT_TICKS * scenario.run.dt)) - 1)
         self.picture.forget()
-        self._entries, self._next = self._recording.entries(first), None
+        self._entries, self._next = self._recording.played(first), None
         self._feed(self.clock, jumped_from=self.clock - WARM_TICKS * scenario.run.dt)
         self.jumps += 1
 

@@ -31,7 +31,7 @@ def rescore_slowly(recording: Recording, scorer: Scorer) -> Iterator[float]:
     now = 0.0
     scorer.deaths.in_world_time = recording.wall_seconds is None
     faults = deque(recording.faults)
-    for entry in recording.entries():
+    for entry in recording.played():
         now = entry.published / 1e9
         scorer.handle(event_of(entry), now)
         while faults and scorer.truth is not None and scorer.truth.time >= faults[0].time:

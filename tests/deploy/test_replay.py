@@ -7,16 +7,18 @@ from pathlib import Path
 import msgspec
 import pytest
 
+from deploy.faults.faults import Action
 from deploy.page.frames import moment
 from deploy.page.picture import KEPT_TICKS
 from deploy.recording.observers import Observers, open_recorder
 from deploy.recording.recording import Recording
 from deploy.recording.replay import ReplayNode, ReplaySource
+from deploy.recording.rescore import rescore
 from deploy.scenario import FaultSettings, resolve
 from deploy.simulation import Simulation
 from protocol.message import Message
 from protocol.messages import Command
-from protocol.node import Started, Timer
+from protocol.node import Gone, Started, Timer
 from protocol.settings import BadSetting
 
 
@@ -105,6 +107,29 @@ def test_playing_through_a_death_does_not_write_the_time_line_twice(run: tuple[S
     replay.seek(5.0)
     replay.advance(10.0)
     assert len([one for one in replay.picture.happenings if one.kind == "lost"]) == 1
+
+
+@pytest.mark.parametrize("ended", [True, False])
+def test_agents_that_leave_when_a_run_is_ended_early_have_not_died(tmp_path: Path, ended: bool) -> None:
+    """Their tokens and that of the world go in any order. Where the world lives on, they have died."""
+    simulation = Simulation(resolve("quick", {"run.seconds": 20.0}))
+    recorder = open_recorder(tmp_path / "a.mcap", simulation.scenario, virtual=True)
+    Observers(simulation.scorer, recorder)
+    while simulation.scorer.truth is None or simulation.scorer.truth.tick < 8:
+        simulation.bus.step()
+    simulation.injector.strike(Action("kill", ["s2"]))
+    while simulation.scorer.truth.tick < 12:
+        simulation.bus.step()
+    for event in (Gone("agent", "s1", 1), Gone("world", "world", 1), *(Gone("agent", f"s{number}", 1) for number in (3, 4, 5, 6))):
+        if ended or event.role == "agent":
+            recorder.see(event, 0.0)
+    recorder.close()
+    recording = Recording(tmp_path / "a.mcap")
+    kills = rescore(recording).result(None).kills
+    assert [kill.name for kill in kills] == (["s2"] if ended else ["s2", "s1", "s3", "s4", "s5", "s6"])
+    replay = ReplaySource(recording, 100.0)
+    replay.advance(10.0)
+    assert [known.name for known in replay.picture.agents.values() if known.alive] == (["s1", "s3", "s4", "s5", "s6"] if ended else [])
 
 
 def test_a_cut_between_agents_and_its_end_stand_on_the_time_line_of_a_replay(tmp_path: Path) -> None:

@@ -90,3 +90,4 @@ def test_a_swarm_that_was_cut_in_two_is_cut_in_every_recording(covey: Covey) -> 
     ]
     assert 0.0 <= recording.faults[0].time <= recording.faults[1].time <= recording.seconds
     assert Recording(outside).faults == recording.faults
+    assert covey.result("score", "outside.mcap")["kills"] == []  # who was ended with the run has not died
