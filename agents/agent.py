@@ -62,7 +62,6 @@ class Agent(Node):
         self._gossip: Gossip | None = None  # the own one of the open tick; None: no tick is open
         self._rounds = OpenRounds(self.context)
         self._own_pose = OwnPose(config, self.context.sensor)
-        self._fresh: list[Gossip] = []  # of the last round
         self._awaited: set[str] = set()  # peers for whose gossips the round that is due waits
         self._listening = Listening(config.timing)
         self._close_at: float | None = None
@@ -216,7 +215,7 @@ class Agent(Node):
         return min(self._pace.current, tick - self.outcome.belief.tick) if tick > self._own_pose.steered else 0
 
     def _steer(self, outcome: RoundResult, observation: Observation) -> list[Effect]:
-        """The command of a result, such that it keeps the body away from those of the peers and from what it senses.
+        """The command of a result, such that it keeps the body away from what it senses and from where gossips of this tick say peers are.
 
         None where the tick of the observation has had one: a result that was computed early was in time.
         """
@@ -224,7 +223,9 @@ class Agent(Node):
             return []
         command = outcome.command
         if self.config.limits.radius:
-            others = [other.pose[:2] for other in self._fresh] + [(x, y) for x, y in observation.obstacles.tolist()]
+            newest = [self.peer_table.inbox.newest(name, observation.tick) for name in self.peer_table.interest_set]
+            others = [peer.pose[:2] for peer in newest if peer is not None and peer.tick == observation.tick]
+            others += [(x, y) for x, y in observation.obstacles.tolist()]
             seconds = self.config.run.dt * self._pace.current
             command = keep_apart(command, observation.pose[:2], others, self.config.limits, seconds)
         self._own_pose.note_command(command, observation.tick)
@@ -396,7 +397,6 @@ class Agent(Node):
         self._rounds.recent.keep(self.outcome.belief)
         missing = self.peer_table.close(gossip.tick, newcomer=newcomer, responsive=self._was_responsive(now))
         self._listening.count(len(fresh), missing)
-        self._fresh = list(fresh.values())
         self.counters["missing"] += missing
         self.counters["rounds"] += 1
 

@@ -73,7 +73,10 @@ class East:
 
 @pytest.mark.parametrize(("pace", "ticks"), [(1, 1), (4, 4)])
 def test_at_a_slower_pace_bodies_keep_apart_for_as_long_as_a_command_lasts(pace: int, ticks: int) -> None:
-    """A body 2 m ahead: each may go 1 m less radius and clearance in twice the time between two commands."""
+    """A body 2 m ahead: each may go 1 m less radius and clearance in twice the time between two commands.
+
+    In a tick without gossips the body is where the proximity sensor says, and no more where the last gossip said.
+    """
     law, limits = ControlSettings(mode=f"{__name__}:East"), LimitSettings(radius=0.5)
     config = AgentConfig(run=RunSettings(dt=0.25), arena=CONFIG.arena, members=CONFIG.members, control=law, limits=limits)
     agent = met(config)
@@ -82,6 +85,9 @@ def test_at_a_slower_pace_bodies_keep_apart_for_as_long_as_a_command_lasts(pace:
         command = only(agent.handle(word(tick, pose=(12.0, 20.0, 0.0), cod=(14.0, 20.0), pace=pace), 1.0 + 0.25 * tick), Command)
     assert isinstance(command, Command)
     assert command.velocity == pytest.approx(((1.0 - 0.5 - 0.05) / (2.0 * ticks * 0.25), 0.0))
+    agent.handle(Timer(), 2.01)  # which shows that nothing keeps its driver busy
+    [alone] = [effect for effect in agent.handle(see(5), 2.25) if isinstance(effect, Command)] if pace > 1 else [None]
+    assert alone is None or alone.velocity == (2.0, 0.0)
 
 
 def test_it_subscribes_to_greetings_gossip_and_its_own_observations_and_greets() -> None:
