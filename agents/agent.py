@@ -128,9 +128,9 @@ class Agent(Node):
         return len(self._awaited) if self._gossip else NO_WAKE_UP
 
     @property
-    def keep_last(self) -> tuple[str, int]:
-        """Of waiting observations as many are kept as the pace has ticks: one of them is played with peers (Node)."""
-        return "/observation/", self._pace.current
+    def most_observations(self) -> int:
+        """As many observations may wait as the pace has ticks: one of them is played with peers (Node)."""
+        return self._pace.current
 
     def deadline(self) -> float | None:
         """When to call with `Timer`, s (Node): when the first of these is due.

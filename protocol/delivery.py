@@ -98,8 +98,8 @@ class BusEndpoint:
     def catch_up(self) -> list[Event]:
         """The events that waited, of observations as many as the node needs, the newest: a slow node skips ticks."""
         events, self.waiting = self.waiting, []
-        part, most = self.node.keep_last
-        if not part:
+        most = self.node.most_observations
+        if not most:
             return events
         places = [place for place, event in enumerate(events) if isinstance(event, Received) and event.batch.kind is Observation]
         old = set(places[:-most])

@@ -14,6 +14,7 @@ from protocol.link_faults import LiveLink
 
 MOST_ENTRIES = 4096
 MOST_BYTES = 16 * 1024 * 1024
+OBSERVATION = "/observation/"  # part of the keys of observations
 
 
 class Arrival(NamedTuple):
@@ -121,10 +122,10 @@ class Inbox:
             self._called = True
             return True
 
-    def take(self, most: int, keep_last: tuple[str, int] = ("", 0)) -> list[Arrival]:
+    def take(self, most: int, most_observations: int = 0) -> list[Arrival]:
         """The oldest entries, at most `most`. If there were any, no `add` calls the loop until `finish_pass`.
 
-        `keep_last`: see `Node`. Messages of each session count by themselves.
+        `most_observations`: see `Node`.
         """
         with self._lock:
             if len(self._queue) <= most:
@@ -135,7 +136,7 @@ class Inbox:
                 self._bytes -= sum([len(arrival.payload) for arrival in batch])
                 self._waiting -= sum(map(self.is_coalesced, batch))
             self._called = bool(batch)
-            return self._without_old(batch, *keep_last) if keep_last[0] else batch
+            return self._without_old(batch, most_observations) if most_observations else batch
 
     def finish_pass(self, wake_up_count: int) -> bool:
         """End a pass of the loop; `wake_up_count` coalesced messages call it again. True when the queue already calls for it."""
@@ -148,14 +149,14 @@ class Inbox:
         """Whether an arrival can wait for others of its kind."""
         return self._coalesced_keys != "" and arrival.token is None and self._coalesced_keys in arrival.key
 
-    def _without_old(self, batch: list[Arrival], part: str, most: int) -> list[Arrival]:
-        """The batch without messages of a key with `part` of which `most` newer ones of the session are in the batch or in the queue."""
-        if not any(part in arrival.key for arrival in batch):
+    def _without_old(self, batch: list[Arrival], most: int) -> list[Arrival]:
+        """The batch without the observations of which `most` newer ones of the key and session are in the batch or in the queue."""
+        if not any(OBSERVATION in arrival.key for arrival in batch):
             return batch
-        newer = Counter((arrival.key, arrival.source) for arrival in (*batch, *self._queue) if part in arrival.key)
+        newer = Counter((arrival.key, arrival.source) for arrival in (*batch, *self._queue) if OBSERVATION in arrival.key)
         kept = []
         for arrival in batch:
-            if part in arrival.key:
+            if OBSERVATION in arrival.key:
                 newer[arrival.key, arrival.source] -= 1
                 if newer[arrival.key, arrival.source] >= most:
                     continue

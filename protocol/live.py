@@ -237,7 +237,7 @@ class Driver:
 
     def _drain(self) -> None:
         self._release_delayed()
-        self._receive(self._inbox.take(SLICE, self._node.keep_last))
+        self._receive(self._inbox.take(SLICE, self._node.most_observations))
 
     def _drain_all(self) -> None:
         self._drain()

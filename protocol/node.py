@@ -155,9 +155,9 @@ class Node(Protocol):
     sees_all_tokens: bool = True  # False: the driver shows only the liveliness tokens to which the node subscribes
 
     @property
-    def keep_last(self) -> tuple[str, int]:
-        """A part of keys, and how many messages of each such key may wait; older ones are dropped. An empty part: all may."""
-        return "", 0
+    def most_observations(self) -> int:
+        """How many observations may wait, those of each session by themselves; older ones are dropped. 0: all may wait."""
+        return 0
 
     @property
     def wake_up_count(self) -> int:

@@ -111,7 +111,7 @@ def test_the_estimate_of_a_shared_round_does_not_wait_for_gossips_and_nothing_of
 
 @pytest.mark.parametrize("pace", [1, 2, 4])
 def test_of_the_observations_that_wait_as_many_as_the_pace_are_enough(pace: int) -> None:
-    assert Swarm(pace).agent.keep_last == ("/observation/", pace)
+    assert Swarm(pace).agent.most_observations == pace
 
 
 def test_at_a_slower_pace_the_gossip_goes_out_before_a_command_is_computed() -> None:

@@ -33,8 +33,8 @@ class Scribe(Node):
         return answers
 
     @property
-    def keep_last(self) -> tuple[str, int]:
-        return "/observation/", self.most
+    def most_observations(self) -> int:
+        return self.most
 
     def deadline(self) -> float | None:
         return self.due
