@@ -20,24 +20,13 @@ from protocol.keys import all_of
 from protocol.messages import Halt
 from protocol.observer_messages import Truth
 from protocol.settings import BadSetting
+from protocol.whole_file import write_whole
 from world.body import Body, check_epoch
 from world.config import WorldConfig
 from world.halt import Hold
 from world.world import World
 
 log = logging.getLogger(__name__)
-
-
-def write_whole(path: Path, payload: bytes) -> bool:
-    """Write a file in one step, so that it is always whole; False when that fails, which the log says."""
-    fresh = path.with_name(path.name + ".new")
-    try:
-        fresh.write_bytes(payload)
-        fresh.replace(path)
-    except OSError as error:
-        log.warning("%s: %s; it is no longer kept", path, error.strerror)
-        return False
-    return True
 
 
 def read_halt(path: Path, run: str) -> Halt:
@@ -56,14 +45,25 @@ def keep_halts(hold: Hold, path: Path, run: str) -> None:
     """Let a hold begin with the order that a file holds, and write every later order that counts to it."""
     if path.exists():
         hold.take(read_halt(path, run))
-    hold.on_order = lambda halt: write_whole(path, codec.encode(halt))
+
+    def keep(halt: Halt) -> None:
+        try:
+            write_whole(path, codec.encode(halt))
+        except OSError as error:
+            which = "the order before it is what a restart finds" if path.exists() else "a restart finds no order"
+            log.warning("%s: %s; this %s is not kept, and %s", path, error.strerror, "halt" if halt.held else "release", which)
+
+    hold.on_order = keep
 
 
 def keep_truths(world: World, path: Path) -> None:
     """Write every Truth to a file before it is published; a full disk ends the keeping, not the world."""
 
     def keep(truth: Truth) -> None:
-        if not write_whole(path, codec.encode(truth)):
+        try:
+            write_whole(path, codec.encode(truth))
+        except OSError as error:
+            log.warning("%s: %s; no Truth is kept from here on", path, error.strerror)
             with contextlib.suppress(OSError):
                 path.unlink(missing_ok=True)  # an old one would lead a restarted world back in time
             world.on_truth = lambda truth: None

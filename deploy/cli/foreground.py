@@ -23,6 +23,7 @@ from deploy.scoring.tick_rate import too_small
 from deploy.storage.run_directory import RunDirectory
 from protocol.process import JsonLines, leave
 from protocol.settings import BadSetting
+from protocol.whole_file import write_whole
 
 if TYPE_CHECKING:
     from deploy.page.server import PageServer
@@ -50,7 +51,7 @@ def run_in_foreground(
         path = recording_path(showing.record, directory.path)
         recorder = open_recorder(path, supervisor.scenario) if path else None
         if server is not None:
-            directory.page.write_text(address + "\n", encoding="utf-8")
+            write_whole(directory.page, f"{address}\n".encode())
             display.event(f"page: {address}")
             if showing.open:
                 display.event(open_browser(address))

@@ -22,10 +22,10 @@ from deploy.recording.replay import SPEEDS, ReplayNode, ReplaySource
 from deploy.recording.rescore import difference, rescore
 from deploy.scoring.scores import write_scores
 from deploy.storage.kept_runs import DRAWING, new_run_directory
-from deploy.storage.whole_file import whole_file
 from protocol.endpoints import free_port
 from protocol.live import Driver
 from protocol.settings import BadSetting, NetworkSettings
+from protocol.whole_file import whole_file
 
 if TYPE_CHECKING:
     from deploy.page.server import PageServer

@@ -23,9 +23,9 @@ from deploy.scoring.scores import write_scores
 from deploy.simulation import Simulation, compile_once
 from deploy.storage.kept_runs import link_latest, new_run_directory
 from deploy.storage.run_directory import RunDirectory
-from deploy.storage.whole_file import write_whole
 from protocol.observer_messages import Truth
 from protocol.settings import BadSetting
+from protocol.whole_file import write_whole
 
 
 def simulate_here(

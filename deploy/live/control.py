@@ -17,8 +17,8 @@ from pathlib import Path
 from typing import Any
 
 from deploy.storage.run_directory import RunDirectory
-from deploy.storage.whole_file import write_whole
 from protocol.settings import BadSetting
+from protocol.whole_file import write_whole
 
 Answer = dict[str, Any]
 MOST_LINE = 1 << 20

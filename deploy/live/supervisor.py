@@ -27,13 +27,13 @@ from deploy.scoring.scorer import Scorer, Status
 from deploy.scoring.scores import write_scores
 from deploy.storage.kept_runs import link_latest
 from deploy.storage.run_directory import RunDirectory
-from deploy.storage.whole_file import write_whole
 from protocol.codec import encode
 from protocol.endpoints import check_endpoints
 from protocol.link_faults import as_line
 from protocol.live import Driver
 from protocol.observer_messages import Truth
 from protocol.settings import BadSetting, NetworkSettings
+from protocol.whole_file import write_whole
 
 GRACE = 2.5  # s for children to end by themselves
 WORLD_SECONDS = 60.0  # that a run which nobody attends stands still without a world before it ends

@@ -15,7 +15,7 @@ from pathlib import Path
 from deploy.recording.recording import Recording
 from deploy.recording.rescore import rescore
 from deploy.scenario import Scenario
-from deploy.storage.whole_file import write_whole
+from protocol.whole_file import write_whole
 
 SIDES = 2.0
 UNKNOWN = -1

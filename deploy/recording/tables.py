@@ -17,7 +17,6 @@ from deploy.recording.rescore import rescore_slowly
 from deploy.scenario import Scenario
 from deploy.scoring.scorer import Scorer
 from deploy.scoring.scores import COLUMNS
-from deploy.storage.whole_file import whole_file
 from protocol.geometry import polygon_area
 from protocol.measuring import to_places
 from protocol.messages import Gossip, Hello
@@ -25,6 +24,7 @@ from protocol.node import Event, messages_of
 from protocol.observer_messages import Estimate, Truth
 from protocol.sensing import SensorModel, measurement_of
 from protocol.settings import BadSetting, sensor_of
+from protocol.whole_file import whole_file
 
 TableRow = tuple[Any, ...]
 NUMBER, WHOLE, WORD = pyarrow.float64(), pyarrow.int64(), pyarrow.string()

@@ -15,9 +15,9 @@ import numpy as np
 from deploy.installation import need_study_packages
 from deploy.scoring.result import Result
 from deploy.simulation import Simulation
-from deploy.storage.whole_file import whole_file
 from protocol.observer_messages import Truth
 from protocol.settings import BadSetting
+from protocol.whole_file import whole_file
 
 KINDS = (".npz", ".parquet", ".csv")
 

@@ -12,11 +12,11 @@ import numpy as np
 import shapely
 
 from deploy.scenario import Scenario
-from deploy.storage.whole_file import whole_file
 from protocol.geometry import total_area
 from protocol.observer_messages import Truth
 from protocol.sensing import SensorModel
 from protocol.settings import sensor_of
+from protocol.whole_file import whole_file
 
 SNAP = 1e-9  # m
 LATTICE = 50  # points per axis on which coverage is read

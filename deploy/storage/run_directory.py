@@ -30,6 +30,7 @@ from pathlib import Path
 from deploy.installation import versions
 from deploy.scenario import Scenario, agent_config, toml_text
 from protocol.settings import BadSetting
+from protocol.whole_file import write_whole
 
 LATEST_LINK = "latest"  # the link to the run that began last
 ROOM = 16384  # bytes that a run needs at least, for its run.toml
@@ -131,9 +132,9 @@ class RunDirectory:
         """Write run.toml, agents.toml and versions.json. `replayed`: it is a recording that is said again."""
         about = {**versions(), "simulated": simulated, "replayed": replayed}
         with self._writing():
-            self.config.write_text(toml_text(scenario), encoding="utf-8")
-            self.agents.write_text(toml_text(agent_config(scenario)), encoding="utf-8")
-            self.versions.write_text(json.dumps(about, indent=2) + "\n", encoding="utf-8")
+            write_whole(self.versions, json.dumps(about, indent=2).encode() + b"\n")
+            write_whole(self.agents, toml_text(agent_config(scenario)).encode())
+            write_whole(self.config, toml_text(scenario).encode())  # the last one: with it the run has begun
 
     def is_simulated(self) -> bool:
         """Whether the run is a simulation, which has no processes and no supervisor that could be asked."""

@@ -18,9 +18,9 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from deploy.storage.whole_file import whole_file
 from deploy.studies.trials import Row
 from protocol.settings import BadOption, BadSetting
+from protocol.whole_file import whole_file
 
 ROBUSTNESS = "robustness.csv"  # in the folder of a study of robustness, which has no rows of methods
 NUMBERS = ("seed", "start_targets", "agents", "steady_ospa", "steady_gospa", "end_in_view")  # columns that figures are drawn from

@@ -17,7 +17,7 @@ from deploy.scenario import resolve
 from deploy.scoring.scores import write_scores
 from deploy.simulation import Simulation
 from deploy.storage.run_directory import RunDirectory
-from deploy.storage.whole_file import whole_file, write_whole
+from protocol.whole_file import whole_file, write_whole
 
 Played = tuple[Simulation, Trace, Recording]
 
@@ -47,6 +47,9 @@ WRITERS: dict[str, Callable[[Path, Played], object]] = {
     "targets.csv": lambda file, run: write_tables(run[2], file.parent, "csv"),
     "targets.parquet": lambda file, run: write_tables(run[2], file.parent, "parquet"),
     "seqinfo.ini": lambda file, run: write_mot(run[2], file.parent),
+    "run.toml": lambda file, run: RunDirectory("one").write_config(run[0].scenario),
+    "agents.toml": lambda file, run: RunDirectory("one").write_config(run[0].scenario),
+    "versions.json": lambda file, run: RunDirectory("one").write_config(run[0].scenario),
     "control.json": lambda file, run: asyncio.run(listen(file.parent)),
 }
 

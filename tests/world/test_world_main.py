@@ -1,5 +1,6 @@
 """The world process keeps its newest Truth, starts again from it, and says in one line what is wrong with its input."""
 
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -62,7 +63,7 @@ def test_after_a_failed_write_no_old_truth_is_left_from_which_a_world_would_go_b
     node = kept_world(tmp_path / "truth")
     run_a_little(node)
     assert (tmp_path / "truth").exists()
-    (tmp_path / "truth.new").mkdir()  # where the next one would be written
+    (tmp_path / f".{os.getpid()}.truth").mkdir()  # where the next one would be written
     node.handle(Timer(), 1.5)
     assert not (tmp_path / "truth").exists()
 
@@ -152,6 +153,20 @@ def test_the_newest_halt_is_the_one_that_is_kept(tmp_path: Path) -> None:
         hold.take(Halt(sender="operator-1", incarnation=incarnation, held=incarnation != 3))
     kept = read_halt(tmp_path / "halt", "covey")
     assert (kept.incarnation, kept.held) == (5, True)
+
+
+def test_a_halt_that_cannot_be_written_says_what_a_restart_will_find(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    hold, blocked = Hold(), tmp_path / f".{os.getpid()}.halt"
+    keep_halts(hold, tmp_path / "halt", "covey")
+    blocked.mkdir()
+    hold.take(Halt(sender="operator-1", incarnation=1, held=True))
+    blocked.rmdir()
+    hold.take(Halt(sender="operator-1", incarnation=2, held=True))
+    blocked.mkdir()
+    hold.take(Halt(sender="operator-1", incarnation=3, held=False))
+    assert "this halt is not kept, and a restart finds no order" in caplog.messages[0]
+    assert "this release is not kept, and the order before it is what a restart finds" in caplog.messages[1]
+    assert hold.holds is False and read_halt(tmp_path / "halt", "covey").incarnation == 2
 
 
 def test_what_was_counted_is_logged_once_when_a_process_ends(caplog: pytest.LogCaptureFixture) -> None:
