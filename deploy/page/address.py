@@ -25,10 +25,10 @@ class Address(NamedTuple):
 
 
 def address_of(page: bool | str) -> Address | None:
-    """--page, --page 8080 or --page 0.0.0.0:8080; None when no page is wanted. Raises BadSetting."""
+    """--page, --page 8080, --page 0.0.0.0:8080 or --page [::1]:8080; None when no page is wanted. Raises BadSetting."""
     if isinstance(page, bool):
         return Address("127.0.0.1", PORT, False) if page else None
     host, _, port = page.rpartition(":")
     if not port.isdecimal() or not 0 <= int(port) <= 65535:
         raise BadSetting(f"--page {page}: should be a port such as 8080, or host:port")
-    return Address(host or "127.0.0.1", int(port), True)
+    return Address(host.removeprefix("[").removesuffix("]") or "127.0.0.1", int(port), True)

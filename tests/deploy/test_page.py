@@ -227,7 +227,8 @@ def test_page_is_a_port_or_host_and_port() -> None:
     assert address_of(True) == Address("127.0.0.1", 8737, False)
     assert address_of("8080") == Address("127.0.0.1", 8080, True)
     assert address_of("0.0.0.0:80") == Address("0.0.0.0", 80, True)
-    assert address_of("8080").is_loopback  # type: ignore[union-attr]
+    assert address_of("[::1]:80") == Address("::1", 80, True)
+    assert address_of("8080").is_loopback and address_of("[::1]:80").is_loopback  # type: ignore[union-attr]
     for wrong in ("quick", "80000", "host:", ""):
         with pytest.raises(BadSetting, match="should be a port"):
             address_of(wrong)
