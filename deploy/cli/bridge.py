@@ -15,7 +15,8 @@ def bridge(
     need_packages("bridge", ("rosbags",), "ros")
     directory, _ = swarm_to_watch(run, supervised=True)
     config = str(directory.config) if directory else str(run)
-    words = ["--config", config, "--agent", agent, "--router", router, f"--offset={offset}", "--origin", *map(str, origin)]
+    place = [f"{number:.9f}" for number in origin]  # without exponents: argparse takes -1e-05 for an option
+    words = ["--config", config, "--agent", agent, "--router", router, f"--offset={offset}", "--origin", *place]
     words += ["--domain", str(domain)] if domain is not None else []
     words += ["--keep", str(keep)] if keep else []
     sys.stdout.flush()

@@ -279,6 +279,13 @@ def test_without_the_package_of_messages_the_command_says_what_to_install(run_fi
     assert done.stderr == "covey: bridge: needs rosbags: python -m pip install rosbags, or install covey[ros]\n"
 
 
+def test_an_origin_just_below_zero_is_three_numbers(run_file: Path) -> None:
+    words = ["bridge", "--agent", "s3", "--run", str(run_file), "--origin", "0", "0", "-1e-05", "--router", "foo"]
+    environment = {**os.environ, "PYTHONPATH": f"{ROOT}:{ROOT}/deploy/interface"}
+    done = subprocess.run([sys.executable, "-m", "deploy", *words], env=environment, capture_output=True, text=True, timeout=60)
+    assert done.stderr == "bridge: --router 'foo': should be an endpoint such as tcp/192.168.1.7:7447\n"
+
+
 def test_rows_of_an_array_are_pairs_of_numbers() -> None:
     from deploy.bridge.bridge import rows
 
