@@ -2,7 +2,8 @@
 
 import math
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from typing import TypeVar
 
 from protocol.message import Vector
 from protocol.sensing import Pose
@@ -15,6 +16,7 @@ SPEED, DRIVEN = 0.2, 1.0  # m/s, s
 TURN_RATE = 1.0  # rad/s
 SKEW = 0.2  # rad that a heading may seem to turn
 STILL = 0.02  # m that a standing robot may seem to move
+T = TypeVar("T")
 
 
 def check_platform(name: str, config: WorldConfig) -> Iterator[tuple[str, bool]]:
@@ -23,8 +25,8 @@ def check_platform(name: str, config: WorldConfig) -> Iterator[tuple[str, bool]]
     trial = _Trial(platform, config.run.dt)
     try:
         yield "it can be built, and has read, drive and stop", True
-        platform.stop()
-        platform.stop()
+        trial.stop()
+        trial.stop()
         yield "stop may be called before anything else, and twice", True
         start = trial.read()
         yield "read returns a pose of finite numbers, and detections (M, 2) or None", True
@@ -40,7 +42,7 @@ def check_platform(name: str, config: WorldConfig) -> Iterator[tuple[str, bool]]
         )
         east, north, _ = trial.drive((0.0, SPEED), 0.0)
         yield f"driven north it moves north: {north:.2f} m, {east:+.2f} m east", _obeys(north, east)
-        platform.stop()
+        trial.stop()
         trial.wait(0.5)
         there = trial.read()
         trial.wait(0.5)
@@ -66,10 +68,19 @@ class _Trial:
         self._platform, self._dt = platform, dt
 
     def read(self) -> Pose:
-        begun = time.monotonic()
-        pose, _ = self._platform.read(self.tick)
-        self.longest = max(self.longest, time.monotonic() - begun)
+        """The pose of this tick."""
+        pose, _ = self._timed(lambda: self._platform.read(self.tick))
         return pose
+
+    def stop(self) -> None:
+        """Let it stand."""
+        self._timed(self._platform.stop)
+
+    def _timed(self, call: Callable[[], T]) -> T:
+        begun = time.monotonic()
+        answer = call()
+        self.longest = max(self.longest, time.monotonic() - begun)
+        return answer
 
     def wait(self, seconds: float) -> None:
         """Read once a tick for some seconds."""
@@ -80,11 +91,9 @@ class _Trial:
 
     def drive(self, velocity: Vector, turn_rate: float) -> tuple[float, float, float]:
         """The way of a drive, m east and m north, and its turn, rad, with a command in every tick as an agent gives it."""
-        (x, y, heading), begun = self.read(), time.monotonic()
+        x, y, heading = self.read()
         for _ in range(max(1, round(DRIVEN / self._dt))):
-            begun = time.monotonic()
-            self._platform.drive(velocity, turn_rate)
-            self.longest = max(self.longest, time.monotonic() - begun)
+            self._timed(lambda: self._platform.drive(velocity, turn_rate))
             self.wait(self._dt)
         pose = self.read()
         turns = (pose[2] - heading + wrap for wrap in (-2.0 * math.pi, 0.0, 2.0 * math.pi))  # by one wrap: degrees stay too large

@@ -1,6 +1,7 @@
 """Platforms of the user's own: how they are built, what they may answer, and the contract that they keep."""
 
 import math
+import threading
 import time
 from typing import Any
 
@@ -200,6 +201,12 @@ class Degrees(Ideal):
         return (x, y, math.degrees(heading)), None
 
 
+class SlowToStop(Ideal):
+    def stop(self) -> None:
+        threading.Event().wait(0.03)
+        super().stop()
+
+
 @pytest.mark.parametrize(
     ("robot", "broken"),
     [
@@ -209,9 +216,10 @@ class Degrees(Ideal):
         (LeftIsRight, ["told to turn"]),
         (BodyFrame, ["driven north"]),
         (Degrees, ["told to turn"]),
+        (SlowToStop, ["no call take"]),
     ],
 )
-def test_the_contract_is_broken_by_a_robot_that_takes_a_direction_for_another(
+def test_the_contract_is_broken_by_a_robot_that_takes_a_direction_for_another_or_is_slow(
     robot: type[Ideal], broken: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(time, "sleep", lambda seconds: None)
