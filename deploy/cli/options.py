@@ -139,20 +139,26 @@ class RunOptions:
 
     def variant(self, name: str, dotted: Mapping[str, Any] = MappingProxyType({}), *, agents_too: bool = False) -> "Scenario":
         """The resolved scenario with further settings such as {"control.mode": "random"}; raises BadSetting naming what is wrong."""
-        import msgspec
-
         from deploy.cli.scenario_checks import check_scenario
-        from deploy.scenario import find, resolve
+        from deploy.scenario import find
         from protocol.settings import BadSetting
 
-        overrides, faults = {**self.overrides(), **dotted}, self.faults()
-        scenario = resolve(name, overrides, agents_too=agents_too)
-        scenario = msgspec.structs.replace(scenario, faults=(*scenario.faults, *faults))
+        scenario = self.unchecked(name, dotted, agents_too=agents_too)
         try:
             check_scenario(scenario)
         except BadSetting as error:
-            raise BadSetting(f"{find(name)}{' with options' if overrides or faults else ''}: {error}") from error.__cause__
+            changed = {**self.overrides(), **dotted} or self.faults()
+            raise BadSetting(f"{find(name)}{' with options' if changed else ''}: {error}") from error.__cause__
         return scenario
+
+    def unchecked(self, name: str, dotted: Mapping[str, Any] = MappingProxyType({}), *, agents_too: bool = False) -> "Scenario":
+        """The same without the checks beyond types, as for a scenario in which `mistakes` has found none."""
+        import msgspec
+
+        from deploy.scenario import resolve
+
+        scenario = resolve(name, {**self.overrides(), **dotted}, agents_too=agents_too)
+        return msgspec.structs.replace(scenario, faults=(*scenario.faults, *self.faults()))
 
     def requested_name(self, scenario: "Scenario") -> str | None:
         """The name that the user gives the run, here or in the scenario; None: there is none."""

@@ -3,20 +3,18 @@
 import json
 import os
 import re
-import sys
 import time
 from typing import Any
 
-from rich.console import Console
 from rich.table import Table
 
 from deploy.cli.display import process_table
 from deploy.cli.logs import LogTails, kept_runs
+from deploy.cli.terminal import table_console
 from deploy.live.control import ControlClient
 from deploy.storage.run_directory import RunDirectory, find_running
 from protocol.settings import BadSetting, read_toml
 
-PLAIN_WIDTH = 160  # columns where there is no terminal
 DEATH = re.compile(r"^(\S+) ended: (.*)$")
 
 
@@ -28,7 +26,7 @@ def ps(run: str | None, as_json: bool, everything: bool = False) -> int:
     if as_json:
         print(json.dumps(data))
     else:
-        Console(highlight=False, width=None if sys.stdout.isatty() else PLAIN_WIDTH).print(process_table(data))
+        table_console().print(process_table(data))
     return 0
 
 
@@ -48,7 +46,7 @@ def ps_all(run: str | None, as_json: bool) -> int:
     if as_json:
         print(json.dumps({"running": data, "ended": gone}))
         return 0
-    console = Console(highlight=False, width=None if sys.stdout.isatty() else PLAIN_WIDTH)
+    console = table_console()
     for one in data:
         console.print(process_table(one))
     for why in silent:

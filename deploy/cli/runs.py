@@ -6,15 +6,14 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
-from rich.console import Console
 from rich.table import Table
 
+from deploy.cli.terminal import table_console
 from deploy.storage.kept_runs import KeptRun, age_of, kept_runs, removable, remove
 from deploy.storage.run_directory import RunDirectory, runs_folder
 from protocol.settings import BadSetting
 
 STYLES = {"running": "green", "interrupted": "yellow", "failed": "red"}
-PLAIN_WIDTH = 160  # columns where there is no terminal
 
 
 def runs(as_json: bool) -> int:
@@ -23,7 +22,7 @@ def runs(as_json: bool) -> int:
     if as_json:
         print(json.dumps([kept._asdict() for kept in found]))
         return 0
-    console = Console(highlight=False, width=None if sys.stdout.isatty() else PLAIN_WIDTH)
+    console = table_console()
     if not found:
         console.print(f"no run is kept in {runs_folder()}", soft_wrap=True)
         return 0

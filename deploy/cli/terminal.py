@@ -17,12 +17,15 @@ import webbrowser
 from collections.abc import Callable, Iterator
 from types import FrameType
 
+from rich.console import Console
+
 NAMES = {"\x1b[A": "up", "\x1bOA": "up", "\x1b[B": "down", "\x1bOB": "down"}
 KEY = re.compile(r"\x1b[\[O][0-9;]*[A-Za-z~]|.", re.DOTALL)
+PLAIN_WIDTH = 160  # columns where there is no terminal
 Pressed = Callable[[float], list[str]]  # the keys that are pressed within so many s: letters, `up` and `down`; at once when there are some
 
 
-def is_ours() -> bool:
+def reads_keys() -> bool:
     """Whether keys can be read: standard input is a terminal, and this program is in front."""
     try:
         return sys.stdin.isatty() and os.tcgetpgrp(sys.stdin.fileno()) == os.getpgrp()
@@ -55,7 +58,7 @@ def keyboard(show_cursor: Callable[[bool], object]) -> Iterator[Pressed]:
         termios.tcsetattr(number, termios.TCSADRAIN, before)
         show_cursor(True)
         os.kill(os.getpid(), signal.SIGSTOP)
-        if is_ours():
+        if reads_keys():
             tty.setcbreak(number)
             show_cursor(False)
 
@@ -85,11 +88,8 @@ def _pressed(number: int, seconds: float) -> list[str]:
 
 
 def is_at_terminal() -> bool:
-    """Whether standard input and output are a terminal and this program is in the foreground."""
-    try:
-        return sys.stdin.isatty() and sys.stdout.isatty() and os.tcgetpgrp(sys.stdin.fileno()) == os.getpgrp()
-    except (OSError, ValueError):
-        return False
+    """Whether keys can be read, and what is printed is seen there."""
+    return reads_keys() and sys.stdout.isatty()
 
 
 async def until_key() -> None:
@@ -104,6 +104,11 @@ async def until_key() -> None:
         os.set_blocking(sys.stdin.fileno(), False)
         os.read(sys.stdin.fileno(), 4096)  # typed characters must not reach the shell
         os.set_blocking(sys.stdin.fileno(), True)
+
+
+def table_console() -> Console:
+    """Where tables are printed: as wide as the terminal, or `PLAIN_WIDTH` columns where there is none."""
+    return Console(highlight=False, width=None if sys.stdout.isatty() else PLAIN_WIDTH)
 
 
 def open_browser(address: str) -> str:

@@ -12,7 +12,7 @@ from rich.table import Table
 from rich.text import Text
 
 from deploy.cli.display import process_table, swarm_line
-from deploy.cli.terminal import is_ours, keyboard
+from deploy.cli.terminal import keyboard, reads_keys
 from deploy.cli.terminal_map import swarm_map
 from deploy.live.control import ControlClient
 from deploy.storage.run_directory import find_running
@@ -116,7 +116,7 @@ def fit(table: Table, console: Console) -> None:
 
 def show(ask: Ask, console: Console) -> None:
     """Show a swarm until it ends or q is pressed; raises BadSetting when the supervisor stops answering."""
-    board, keys = WatchScreen(ask), is_ours()
+    board, keys = WatchScreen(ask), reads_keys()
     with Live(console=console, auto_refresh=False) as live, keyboard(console.show_cursor) if keys else nullcontext(_sleep) as pressed:
         go_on = True
         while go_on:

@@ -16,7 +16,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from deploy.storage.run_directory import LATEST_LINK, RunDirectory, is_running_already, runs_folder
+from deploy.storage.run_directory import LATEST_LINK, RunDirectory, is_running_already, run_directories, runs_folder
 from protocol.settings import BadSetting
 
 LONGEST = 64  # characters of a name, which is a part of every key
@@ -70,7 +70,7 @@ def _dated(scenario: str) -> Iterator[str]:
     """The names of today for a scenario, from one above the highest number in use."""
     stem = re.sub(r"[^A-Za-z0-9_.-]+", "-", Path(scenario).name.removesuffix(".toml")) or "run"
     head = f"{time.strftime('%Y-%m-%d')}-{stem}"[: LONGEST - 8]
-    used = [path.name.removeprefix(f"{head}-") for path in _paths() if path.name.startswith(f"{head}-")]
+    used = [one.name.removeprefix(f"{head}-") for one in run_directories() if one.name.startswith(f"{head}-")]
     highest = max((int(number) for number in used if number.isdecimal() and len(number) < 7), default=0)
     return (f"{head}-{number}" for number in itertools.count(highest + 1))
 
@@ -106,15 +106,10 @@ def find_run(name: str) -> RunDirectory | None:
 def kept_runs() -> list[KeptRun]:
     """All runs, the newest first."""
     found = []
-    for path in _paths():
+    for directory in run_directories():
         with contextlib.suppress(FileNotFoundError):  # it has not begun, or is being removed
-            found.append(_look(RunDirectory(path.name)))
+            found.append(_look(directory))
     return sorted(found, key=lambda kept: kept.began, reverse=True)
-
-
-def _paths() -> list[Path]:
-    folder = runs_folder()
-    return [path for path in folder.iterdir() if path.is_dir() and not path.is_symlink()] if folder.is_dir() else []
 
 
 def _look(directory: RunDirectory) -> KeptRun:

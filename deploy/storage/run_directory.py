@@ -84,10 +84,9 @@ class RunDirectory:
         return descriptor
 
     def clear(self) -> None:
-        """Remove what an earlier run left, and check that a run finds room; raises BadSetting when it does not."""
+        """Remove what a start that failed has left, and check that a run finds room; raises BadSetting when it does not."""
         with self._writing():
-            for file in (self.config, self.agents, self.versions, self.result, self.scores, self.control, self.truth, self.page):
-                file.unlink(missing_ok=True)
+            self.page.unlink(missing_ok=True)
             shutil.rmtree(self.logs, ignore_errors=True)
             self.logs.mkdir()
             self.config.write_bytes(bytes(ROOM))  # a full disk is known before anything starts
@@ -223,11 +222,16 @@ def find_running(name: str | None, *, supervised: bool = False) -> RunDirectory:
     return running[-1]
 
 
-def running_runs() -> list[RunDirectory]:
-    """All runs that are running and can be heard, the newest last; no simulations."""
+def run_directories() -> list[RunDirectory]:
+    """The directories of all runs, in no order; `latest` is a link and none of them."""
     folder = runs_folder()
     names = [path.name for path in folder.iterdir() if path.is_dir() and not path.is_symlink()] if folder.is_dir() else []
-    running = [directory for directory in map(RunDirectory, names) if directory.is_running() and not directory.is_simulated()]
+    return list(map(RunDirectory, names))
+
+
+def running_runs() -> list[RunDirectory]:
+    """All runs that are running and can be heard, the newest last; no simulations."""
+    running = [directory for directory in run_directories() if directory.is_running() and not directory.is_simulated()]
     return sorted(running, key=_began)
 
 

@@ -39,7 +39,7 @@ def check(
     wrong = options.mistakes(scenario, agents_too=network)
     if wrong:
         return scenario_file.complain(wrong)
-    found = options.variant(scenario, agents_too=network)
+    found = options.unchecked(scenario, agents_too=network)
     return scenario_file.check_network_and_print(found, own) if network else scenario_file.check(found)
 
 
