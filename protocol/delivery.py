@@ -69,8 +69,8 @@ class BusEndpoint:
     waiting: list[Event] = field(default_factory=list)  # what arrived while it stood still or was at work
     unpublished: list[Effect] = field(default_factory=list)  # the effects of a round that it had computed, while it stands still
     clock: float = 0.0  # offset of its clock from the time of the bus, s
-    work: float = 0.0  # time that it takes for one round, s
-    starved: Callable[[], float] | None = None  # draws the time that its next round takes, s; None: none
+    work: Callable[[], float] | None = None  # draws the time that its next round takes, s; None: none
+    published_after: float = 0.0  # share of that time after which the effects of the round come out
     at_work: bool = False
     armed: float | None = None  # the deadline for which the timer is set
     mailbox: list[MessageGroup] = field(default_factory=list)  # groups of messages of this instant that have not been handed over

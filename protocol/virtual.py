@@ -128,16 +128,12 @@ class VirtualBus:
         self._endpoints[name].clock += seconds
         self._endpoints[name].armed = None
 
-    def slow(self, name: str, seconds: float) -> None:
-        """Let a node work for `seconds` on every round, from its gossip on, and take no other event meanwhile; 0: no work."""
-        self._endpoints[name].work = seconds
-
-    def starve(self, name: str, seconds: Callable[[], float] | None) -> None:
+    def slow(self, name: str, seconds: Callable[[], float] | None, published_after: float = 0.0) -> None:
         """Let every round of a node, from its gossip on, take the seconds that a function draws; None: no time.
 
-        The effects come out after half of that, and the node takes no other event before the end.
+        The effects come out after the share `published_after` of that. The node takes no other event before the end.
         """
-        self._endpoints[name].starved = seconds
+        self._endpoints[name].work, self._endpoints[name].published_after = seconds, published_after
 
     def freeze(self, seconds: float) -> None:
         """Stop all nodes at once for some seconds: a machine that stands still. Of two freezes at a time the later end counts."""
@@ -160,8 +156,7 @@ class VirtualBus:
         if self._stands_still(endpoint):
             return
         effects, endpoint.unpublished = endpoint.unpublished, []
-        for effect in effects:
-            self._carry_out(endpoint, effect)
+        self._carry_out_all(endpoint, effects)
         if endpoint.at_work:
             return
         self._ready.extendleft((endpoint, event) for event in reversed(endpoint.catch_up()))
@@ -232,32 +227,29 @@ class VirtualBus:
                 endpoint.waiting.append(event)
             return
         effects = endpoint.handle(event, self._time_of(endpoint) if endpoint.clock else self.now)
-        if endpoint.starved is not None and any(isinstance(effect, Gossip) for effect in effects):
-            self._labour(endpoint, effects, endpoint.starved())
-            effects = []
-        for effect in effects:
-            self._carry_out(endpoint, effect)
+        if endpoint.work is not None and any(isinstance(effect, Gossip) for effect in effects):
+            self._begin_work(endpoint, effects, endpoint.work())
+        else:
+            self._carry_out_all(endpoint, effects)
         if self.tap is not None:
             self.tap(endpoint.node, event)
-        if endpoint.at_work:
+        if endpoint.at_work or (effects is NO_EFFECTS and endpoint.armed is not None):
             return
-        if effects is NO_EFFECTS and endpoint.armed is not None:
-            return
-        if endpoint.work > 0.0 and any(isinstance(effect, Gossip) for effect in effects):
-            endpoint.at_work = True
-            self.call_later(endpoint.work, partial(self._end_work, endpoint))
-        elif endpoint.deadline() != endpoint.armed:
+        if endpoint.deadline() != endpoint.armed:
             self._rearm(endpoint)
 
-    def _labour(self, endpoint: BusEndpoint, effects: list[Effect], seconds: float) -> None:
-        """Carry out the effects of a starved node after half of the time that its round takes, or when it wakes after that."""
+    def _begin_work(self, endpoint: BusEndpoint, effects: list[Effect], seconds: float) -> None:
+        """Let a node be at work for some seconds. Its effects come out in time, or when it wakes after that."""
 
-        def finish() -> None:
+        def publish() -> None:
             endpoint.unpublished = effects
             self._wake(endpoint)
 
         endpoint.at_work = True
-        self.call_later(0.5 * seconds, finish)
+        if endpoint.published_after > 0.0:
+            self.call_later(endpoint.published_after * seconds, publish)
+        else:
+            self._carry_out_all(endpoint, effects)
         self.call_later(seconds, partial(self._end_work, endpoint))
 
     def _end_work(self, endpoint: BusEndpoint) -> None:
@@ -302,6 +294,10 @@ class VirtualBus:
         elif endpoint.timer is None or deadline - endpoint.clock != endpoint.timer:
             endpoint.timer = max(deadline - endpoint.clock, self.now)
             self._push(endpoint.timer, (endpoint, Timer()))
+
+    def _carry_out_all(self, endpoint: BusEndpoint, effects: list[Effect]) -> None:
+        for effect in effects:
+            self._carry_out(endpoint, effect)
 
     def _carry_out(self, endpoint: BusEndpoint, effect: Effect) -> None:
         if isinstance(effect, Message):

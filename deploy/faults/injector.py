@@ -104,7 +104,7 @@ class Injector:
             case "resume" if label in self._pauses:
                 self._resume(label)
             case "slow":
-                self._bus.slow(label, value)
+                self._bus.slow(label, (lambda: value) if value > 0.0 else None)
             case "starve":
                 self._starve(label, value)
             case "jump":
@@ -115,7 +115,7 @@ class Injector:
         run = self.scenario.run
         rng = stream(run.seed, f"starve {label}")
         mean = run.dt / run.rate / share if share > 0.0 else 0.0
-        self._bus.starve(label, (lambda: mean * float(0.5 + rng.random())) if share > 0.0 else None)
+        self._bus.slow(label, (lambda: mean * float(0.5 + rng.random())) if share > 0.0 else None, published_after=0.5)
 
     def _freeze(self, seconds: float) -> None:
         """All nodes stand still. After more than the lease every session between agents is lost, and opened again."""

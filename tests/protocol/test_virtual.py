@@ -148,7 +148,7 @@ def test_a_stopped_node_finds_as_many_observations_as_it_needs() -> None:
 def test_a_slow_node_looks_at_nothing_while_it_works_over_a_round() -> None:
     world, one, two = Scribe("world", role="world"), Scribe("a"), Scribe("b")
     bus = bus_of(world, one, two)
-    bus.slow("a", 0.2)
+    bus.slow("a", lambda: 0.2)
     bus.run(0.0)
     one.answers = [gossip("a", 1)]
     say(bus, world, observation(1))
@@ -270,7 +270,7 @@ def starved(seconds: float) -> tuple[VirtualBus, Scribe, Choir]:
     """A node whose round takes `seconds` and one that hears its gossips; at 0 s its round of tick 1 begins."""
     world, one, two = Scribe("world", role="world"), Scribe("a"), Choir("b")
     bus = bus_of(world, one, two)
-    bus.starve("a", lambda: seconds)
+    bus.slow("a", lambda: seconds, published_after=0.5)
     one.answers = [gossip("a", 1)]
     say(bus, world, observation(1))
     return bus, one, two
