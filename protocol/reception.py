@@ -79,27 +79,20 @@ class Reception:
         anybody = self._quarantine.is_any_quarantined(now)
         shut = [anybody and arrival.token is None and is_quarantined(arrival.source or arrival.key, now) for arrival in arrivals]
         unread = [(key, payload) for (key, payload, _, token), out in zip(arrivals, shut) if token is None and not out]
-        messages = iter(decode_all(unread))
+        items = iter(read_all(unread))
         for arrival, out in zip(arrivals, shut):
             if arrival.token is not None:
                 yield from self._tokens.see(arrival.key, bool(arrival.token))
                 continue
-            message = None if out else next(messages)
-            if message is None or isinstance(message, Malformed):
-                yield self._refuse(arrival, message, now)
-            else:
+            item = None if out else next(items)
+            if isinstance(item, Decoded):
                 self._counts["received"] += 1
-                yield from self._tokens.hear(message.sender)
-                yield Decoded(message, arrival.payload)
-
-    def _refuse(self, arrival: Arrival, error: Malformed | None, now: float) -> Rejected:
-        """Count an arrival that is malformed or unread; too many malformed ones put their source in quarantine."""
-        source = arrival.source or arrival.key
-        if error is None or self._quarantine.is_quarantined(source, now):
-            self._counts["quarantined"] += 1
-            reason = "quarantine"
-        else:
-            self._counts["rejected"] += 1
-            self._quarantine.offend(source, now)
-            reason = error.reason
-        return Rejected(arrival.key.rpartition("/")[2], reason, arrival.key, arrival.payload)
+                yield from self._tokens.hear(item.message.sender)
+                yield item
+            elif item is None or is_quarantined(arrival.source or arrival.key, now):
+                self._counts["quarantined"] += 1
+                yield Rejected(arrival.key.rpartition("/")[2], "quarantine", arrival.key, arrival.payload)
+            else:  # too much of it puts its source in quarantine
+                self._counts["rejected"] += 1
+                self._quarantine.offend(arrival.source or arrival.key, now)
+                yield item
