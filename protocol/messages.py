@@ -78,8 +78,6 @@ class Hello(Message, frozen=True, kw_only=True, dict=True, tag="hello"):
     software: str = ""
     sensor_class: str = ""  # a name from the scenario, "A" to "H" for those of the paper
     sensor: WedgeSensor | None = None  # the numbers of a wedge; None: the receiver looks the class up in its own scenario
-    max_speed: Magnitude = 0.0  # m/s
-    max_turn_rate: Magnitude = 0.0  # rad/s
     heard: Names = ()
     neighbours_only: bool = False  # True: the sender receives the world's Hello alone and knows its peers by their beacons
     settings: SharedSettings = {}  # those on which all agree; a setting that is missing is not compared

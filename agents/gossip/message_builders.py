@@ -25,8 +25,6 @@ def hello(context: AgentContext, heard: tuple[str, ...], settings: SharedSetting
         software=f"covey {VERSION}",
         sensor_class=context.sensor_class,
         sensor=context.sensor if isinstance(context.sensor, WedgeSensor) else None,
-        max_speed=context.config.limits.speed,
-        max_turn_rate=context.config.limits.turn_rate,
         heard=heard,
         neighbours_only=context.config.timing.interest == "neighbours",
         settings=settings,

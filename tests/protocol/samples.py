@@ -40,8 +40,6 @@ def _samples() -> list[Message]:
             incarnation=9,
             sensor_class="A",
             sensor=SENSOR_CLASSES["A"],
-            max_speed=2.0,
-            max_turn_rate=5.0,
             heard=("s2", "s3"),
             software="0.1",
             settings={"run": {"dt": 0.25}, "filter": {"seed": 2**63 - 1, "border": "cross"}, "birth": {"background": True}},

@@ -23,7 +23,7 @@ class Ear(Scribe):
     def handle(self, event: Event, now: float) -> list[Effect]:
         super().handle(event, now)
         self.next = None if self.texts() else now + 0.2
-        asked: list[Effect] = [Hello(sender=self.name, incarnation=1, software="test", sensor_class="", max_speed=1.0, max_turn_rate=1.0)]
+        asked: list[Effect] = [Hello(sender=self.name, incarnation=1, software="test", sensor_class="")]
         return [Subscribe(all_of(self.run, "estimate"))] if isinstance(event, Started) else [] if self.texts() else asked
 
 

@@ -14,7 +14,7 @@ from protocol.node import NO_EFFECTS, Alive, Effect, Event, Gone, Started, Subsc
 from protocol.settings import NetworkSettings
 from tests.protocol.test_live import Scribe, command, until
 
-HELLO = Hello(sender="c", incarnation=1, software="test", sensor_class="", max_speed=1.0, max_turn_rate=1.0)
+HELLO = Hello(sender="c", incarnation=1, software="test", sensor_class="")
 
 
 class Patient(Scribe):

@@ -35,7 +35,7 @@ GOSSIP = Gossip(
     ids_bytes=pack(np.array([5, 2**64 - 1], dtype=np.uint64), "<u8"),
 )
 BEACON = Beacon(sender="s1", incarnation=1, tick=1, position=(0.0, 0.0), cod=(1.0, 1.0), power_radius=1.0, reach=8.0, column=0, row=0)
-HELLO = Hello(sender="s1", incarnation=1, sensor_class="A", sensor=SENSOR_CLASSES["A"], max_speed=2.0, max_turn_rate=5.0)
+HELLO = Hello(sender="s1", incarnation=1, sensor_class="A", sensor=SENSOR_CLASSES["A"])
 OBSERVATION = Observation(sender="world", incarnation=1, recipient="s1", tick=1, time=0.25, pose=(0.0, 0.0, 0.0))
 COMMAND = Command(sender="s1", incarnation=1, tick=1, velocity=(1.0, 0.0), turn_rate=0.5)
 ESTIMATE = Estimate(sender="s1", incarnation=1, tick=1, pose=(0.0, 0.0, 0.0), cod=(0.0, 0.0), power_radius=0.0, unused=0.0)
@@ -124,9 +124,7 @@ BROKEN = [
     (GOSSIP, {"ids_bytes": bytes(8 * 8193)}, "size", "ids"),
     (GOSSIP, {"claim_bytes": bytes(24 * 8193)}, "size", "claim"),
     (BEACON, {"power_radius": -1.0}, "range", "power_radius"),
-    (BEACON, {"reach": -1.0}, "range", "reach"),
-    (HELLO, {"max_speed": -1.0}, "range", "max_speed"),
-    (HELLO, {"max_turn_rate": math.inf}, "range", "max_turn_rate"),
+    (BEACON, {"reach": math.inf}, "range", "reach"),
     (HELLO, {"heard": ("s",) * 8193}, "size", "heard"),
     (ESTIMATE, {"mass": -1.0}, "range", "mass"),
     (ESTIMATE, {"round_seconds": math.nan}, "range", "round_seconds"),

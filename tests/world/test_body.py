@@ -59,7 +59,7 @@ def test_in_a_paced_lockstep_a_command_holds_for_the_whole_of_a_long_tick() -> N
     body, now = Body(world_config(resolve("efficacy", settings)), "s1", 1), 0.0
     body.handle(Started(), now)
     body.handle(Alive("agent", "s1", 1), now)
-    hello = Hello(sender="s1", incarnation=1, role="agent", software="", sensor_class="A", max_speed=2.0, max_turn_rate=5.0, heard=())
+    hello = Hello(sender="s1", incarnation=1, role="agent", software="", sensor_class="A", heard=())
     body.handle(received(hello), now)
     while body.tick < 0:
         now += 0.25
