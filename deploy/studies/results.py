@@ -156,7 +156,7 @@ def _read_csv(path: Path) -> list[Row]:
 
 def _plain(name: str, value: str, line: int) -> Any:
     """A cell of a CSV file as what it was."""
-    if name in ("team", "method", "scenario", "triple", "code", "transcript", "version"):
+    if name in ("team", "method", "scenario", "triple", "code", "own_code", "transcript", "version"):
         return value
     for kind in (int, float):
         try:

@@ -148,6 +148,14 @@ def _class_files(scenario: Scenario) -> list[Path]:
     return sorted(found)
 
 
+def own_code(scenario: Scenario) -> str:
+    """A hash of the files of the user's own classes; empty where there are none."""
+    digest, files = hashlib.blake2b(digest_size=6), _class_files(scenario)
+    for file in files:
+        digest.update(hashlib.blake2b(file.read_bytes()).digest())
+    return digest.hexdigest() if files else ""
+
+
 def _recorded_files(scenario: Scenario) -> list[Path]:
     """The files of the recorded world; none where the targets are simulated."""
     data = Path(scenario.recorded.data)
@@ -225,7 +233,7 @@ def row_of(trial: Trial, scenario: Scenario, result: Result) -> Row:
     found = {name: value for name, value in msgspec.to_builtins(result).items() if name not in LEFT_OUT}
     head = {"scenario": trial.scenario, "seed": trial.seed, "team": trial.team, "triple": scenario.team.triple}
     head |= {"start_targets": trial.targets, "method": trial.method}
-    tail = {"code": fingerprint(), "command": trial.command()}
+    tail = {"code": fingerprint(), "own_code": own_code(scenario), "command": trial.command()}
     return {**head, **found, **tail, **flat_settings(scenario), "wall_s": result.wall_s, "key": trial.key_with(scenario)}
 
 

@@ -1,5 +1,6 @@
 """Trials: pairing, rows that repeat themselves, and keys that tell trials apart."""
 
+import re
 import shlex
 from itertools import pairwise
 from pathlib import Path
@@ -10,10 +11,11 @@ import pytest
 
 from agents.coverage.laws import control_law
 from deploy.scenario import parse_set, resolve
+from deploy.scoring.result import Result
 from deploy.simulation import Simulation, simulate
 from deploy.studies.bodies import BodyRun
 from deploy.studies.robustness import Bout
-from deploy.studies.trials import FLAGS, METHODS, Trial, check_method, cost, fingerprint, run_trial
+from deploy.studies.trials import FLAGS, LEFT_OUT, METHODS, Trial, check_method, cost, fingerprint, flat_settings, own_code, run_trial
 from protocol.observer_messages import Truth
 from protocol.settings import BadSetting
 
@@ -85,8 +87,19 @@ def test_a_row_holds_the_result_and_every_setting() -> None:
     row = run_trial(trial())
     assert (row["method"], row["seed"], row["team"], row["start_targets"], row["ticks"]) == ("power", 3, "A2,B4", 3, 10)
     assert (row["filter.lifetime"], row["detection.noise"], row["partition.kind"], row["run.seed"]) == (1000.0, 0.25, "power", 3)
-    assert row["code"] == fingerprint() and {"steady_ospa", "steady_missed", "end_in_view", "version"} <= row.keys()
+    assert (row["code"], row["own_code"]) == (fingerprint(), "")
     assert all(isinstance(value, str | int | float | None) for value in row.values())
+
+
+def test_the_page_names_every_column_of_a_study_once() -> None:
+    """But for settings, which have a page of their own, and for what the tables leave out; fields of a result stand in their section."""
+    page = (Path(__file__).resolve().parents[2] / "docs/reference/results.md").read_text(encoding="utf-8")
+    section = page.partition("## The columns of a study\n")[2].partition("\n## ")[0]
+    firsts = [line.split("|")[1] for line in section.splitlines() if line.startswith("| `")]
+    named = [name for cell in firsts for name in re.findall(r"`(\w+)`", cell)]
+    columns = {*run_trial(trial(**{"run.seconds": 1.0}))} - {*flat_settings(trial().resolve()), "wall_s", "key"}
+    assert len(named) == len(set(named)) and columns == {*named} | {*Result.__struct_fields__} - {*LEFT_OUT}
+    assert {*LEFT_OUT} < {*re.findall(r"`(\w+)`", section)}
 
 
 def test_progress_is_told_tick_by_tick() -> None:
@@ -115,11 +128,14 @@ def test_a_class_of_the_users_own_that_has_changed_gives_the_runs_of_all_studies
     (tmp_path / "brought_by.py").write_text("from brought import Own\n")
     fields = ("targets.motion", "bodies.platform", "control.mode", "sensors.A.model")
     found: list[list[set[str]]] = []
+    hashes = set()
     for speed in (0.0, 2.0):
         (tmp_path / "brought.py").write_text(SENSOR.format(speed))
+        hashes.add(own_code(trial(**{"control.mode": "brought_by:Own"}).resolve()))
         found.append([keys_of_all_studies({field: f"{module}:Own"}) for field in fields for module in ("brought", "brought_by")])
     for before, after in zip(*found):
         assert len(before) == 3 and not before & after
+    assert len(hashes) == 2
 
 
 @pytest.mark.parametrize("data", ["crowd", "crowd/one.txt"])
