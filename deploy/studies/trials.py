@@ -77,7 +77,7 @@ METHODS: dict[str, dict[str, Any]] = {
     },
     "voronoi": {"partition.kind": "voronoi"},
     "voronoi-cod": {"partition.kind": "voronoi-cod"},
-    "pursuit": {"partition.kind": "power", "control.mode": "pursuit", "extraction.threshold": 0.4},
+    "pursuit": {"partition.kind": "power", "control.mode": "pursuit"},
     "search-and-track": SEARCH_AND_TRACK,
     **{name: {**SEARCH_AND_TRACK, **change} for name, change in ABLATIONS.items()},
     "oracle": {"partition.kind": "power", "control.mode": "oracle"},

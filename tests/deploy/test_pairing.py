@@ -26,8 +26,10 @@ def test_a_partition_is_compared_under_its_own_name(kind: str) -> None:
 
 @pytest.mark.parametrize("mode", ["pursuit", "search-and-track", "oracle", "uniform-density", "random", "static"])
 def test_a_control_law_is_compared_on_power_cells(mode: str) -> None:
-    scenario = trial(mode).resolve()
+    scenario, paper = trial(mode).resolve(), trial("power").resolve()
     assert (scenario.partition.kind, scenario.control.mode) == ("power", mode)
+    if mode != "search-and-track":  # which brings its extraction
+        assert msgspec.structs.replace(scenario, control=paper.control) == paper
 
 
 class Stay:
