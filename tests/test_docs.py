@@ -144,7 +144,7 @@ def test_a_line_with_a_word_that_no_command_knows_is_told(line: str) -> None:
 
 LONG = {  # each takes more than 8 s of CPU: whole swarms, studies, demos
     *("docs/tutorial/2-own-scenario.md", "docs/tutorial/3-own-sensor.md", "docs/explanation/method.md", "docs/evidence/real-data.md"),
-    *(f"docs/how-to/{name}.md" for name in ("bodies", "record", "reproduce-the-paper", "robustness-study", "watch")),
+    *(f"docs/how-to/{name}.md" for name in ("bodies", "compare-your-law", "record", "reproduce-the-paper", "robustness-study", "watch")),
     "docs/how-to/many-machines.md",  # typed on three machines in tests/live/test_many_machines.py
     *(f"docs/how-to/own-{name}.md" for name in ("controller", "recording", "scenario", "sensor", "target-motion")),
 }
