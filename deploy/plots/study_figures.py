@@ -4,6 +4,7 @@ Figure 4 of the paper has a panel for each number of targets and a group of boxe
 heterogeneity. Every figure is written as PDF and PNG.
 """
 
+import itertools
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -39,6 +40,7 @@ STYLE: dict[Any, Any] = {
     "savefig.dpi": 200,
 }
 COLOURS = {"voronoi": "#2166ac", "power": "#b2182b", "voronoi-cod": "#7f7f7f", "static": "#d9a441", "random": "#b8860b"}
+OTHER_COLOURS = ("#444444", "#1b7837", "#762a83", "#e08214", "#35978f")  # of all other methods, in their order
 NAMES = {"voronoi": "Voronoi", "power": "power diagram", "voronoi-cod": "Voronoi of the CODs", "static": "static", "random": "random"}
 ORDER = ("voronoi", "voronoi-cod", "power")  # from left to right, as in the paper; others follow
 FILES = {"efficacy": "figure4", "heterogeneity": "figure5"}
@@ -52,8 +54,9 @@ def draw(rows: Sequence[Row], into: Path) -> list[Path]:
     into.mkdir(parents=True, exist_ok=True)
     with plt.rc_context(STYLE):
         figures = {FILES.get(scenario, "errors"): boxes(rows, methods)}
-        if "power" in methods and len(methods) > 1:
-            figures["paired"] = differences(rows, [name for name in methods if name != "power"])
+        if len(methods) > 1:
+            base = "power" if "power" in methods else methods_of(rows)[0]
+            figures["paired"] = differences(rows, [name for name in methods if name != base], base)
         return [path for name, figure in figures.items() for path in _write(figure, into / name)]
 
 
@@ -78,7 +81,7 @@ def boxes(rows: Sequence[Row], methods: Sequence[str]) -> Figure:
         panel.set_xlabel(_axis(rows))
     panels[0][0].set_ylabel(ERROR)
     panels[0][0].set_ylim(bottom=0.0)
-    patches = [Patch(facecolor="white", edgecolor=_colour(name), label=NAMES.get(name, name)) for name in methods]
+    patches = [Patch(facecolor="white", edgecolor=colour, label=NAMES.get(name, name)) for name, colour in _colours(methods).items()]
     figure.legend(handles=patches, loc="upper center", ncols=len(methods), bbox_to_anchor=(0.5, 1.0), handlelength=1.2)
     figure.tight_layout(rect=(0.0, 0.0, 1.0, 0.92))
     return figure
@@ -86,10 +89,10 @@ def boxes(rows: Sequence[Row], methods: Sequence[str]) -> Figure:
 
 def _boxes(panel: Axes, rows: Sequence[Row], groups: Sequence[Group], methods: Sequence[str]) -> None:
     width = 0.8 / len(methods)
-    for shift, method in enumerate(methods):
+    for shift, (method, shade) in enumerate(_colours(methods).items()):
         places = [place + (shift - (len(methods) - 1) / 2.0) * width for place in range(len(groups))]
         data = [list(values(rows, group, method).values()) for group in groups]
-        colour = {"color": _colour(method), "linewidth": 0.9}
+        colour = {"color": shade, "linewidth": 0.9}
         panel.boxplot(
             data,
             positions=places,
@@ -98,7 +101,7 @@ def _boxes(panel: Axes, rows: Sequence[Row], groups: Sequence[Group], methods: S
             whiskerprops=colour,
             capprops=colour,
             medianprops={**colour, "linewidth": 1.4},
-            flierprops={"marker": "+", "markersize": 4.0, "markeredgecolor": _colour(method)},
+            flierprops={"marker": "+", "markersize": 4.0, "markeredgecolor": shade},
             manage_ticks=False,
         )
     panel.set_xticks(range(len(groups)), [_label(rows, group) for group in groups])
@@ -107,8 +110,10 @@ def _boxes(panel: Axes, rows: Sequence[Row], groups: Sequence[Group], methods: S
     panel.set_axisbelow(True)
 
 
-def _colour(method: str) -> str:
-    return COLOURS.get(method, "#444444")
+def _colours(methods: Sequence[str]) -> dict[str, str]:
+    """The colour of each method."""
+    others = itertools.cycle(OTHER_COLOURS)
+    return {method: COLOURS[method] if method in COLOURS else next(others) for method in methods}
 
 
 def _axis(rows: Sequence[Row]) -> str:
@@ -133,15 +138,15 @@ def level_of(team: str, triple: str) -> float | None:
     return heterogeneity_level(radii)
 
 
-def differences(rows: Sequence[Row], others: Sequence[str]) -> Figure:
-    """How much larger the error of each other method is than that of the power diagram, seed by seed, with the tests beside it."""
+def differences(rows: Sequence[Row], others: Sequence[str], base: str = "power") -> Figure:
+    """How much larger the error of each other method is than that of the base, seed by seed, with the tests beside it."""
     groups = groups_of(rows)
     size = (0.8 + 3.2 * len(others), 0.9 + 0.32 * len(groups))
     figure, panels = plt.subplots(1, len(others), figsize=size, sharey=True, squeeze=False)
     for panel, other in zip(panels[0], others):
-        found = [compare(rows, group, "power", other) for group in groups]
+        found = [compare(rows, group, base, other) for group in groups]
         _differences(panel, [pair for pair in found if pair is not None], groups)
-        panel.set_title(f"{NAMES.get(other, other)} minus power diagram")
+        panel.set_title(f"{NAMES.get(other, other)} minus {NAMES.get(base, base)}")
         panel.set_xlabel("difference of the average OSPA error (m)")
     several = len({group.targets for group in groups}) > 1
     names = [_label(rows, group) for group in groups]

@@ -55,6 +55,23 @@ def test_a_panel_for_each_number_of_targets_and_a_group_for_each_team() -> None:
     assert [line.get_ydata()[0] for line in medians] == pytest.approx([1.6, 1.6, 1.1, 1.1])  # type: ignore[index]
 
 
+OWN = {"power": "my:One", "voronoi": "my:Two", "voronoi-cod": "paper-extraction"}
+
+
+def test_laws_of_the_users_own_have_names_and_colours_of_their_own() -> None:
+    study = [{**row, "method": OWN[row["method"]]} for row in rows(targets=(30,))]
+    legend = boxes(study, list(OWN.values())).legends[0]
+    assert [text.get_text() for text in legend.get_texts()] == list(OWN.values())
+    assert len({patch.get_edgecolor() for patch in legend.get_patches()}) == 3
+    assert [panel.get_title() for panel in differences(study, ["my:Two"], "my:One").axes] == ["my:Two minus my:One"]
+
+
+@pytest.mark.slow
+def test_without_the_power_diagram_the_first_method_is_compared_with_the_others(tmp_path: Path) -> None:
+    files = draw([{**row, "method": OWN[row["method"]]} for row in rows(targets=(30,))], tmp_path)
+    assert sorted(file.name for file in files) == ["figure4.pdf", "figure4.png", "paired.pdf", "paired.png"]
+
+
 def test_differences_seed_by_seed_with_their_tests() -> None:
     figure = differences(rows(targets=(30,)), ["voronoi", "voronoi-cod"])
     points = [line.get_xdata() for line in figure.axes[1].lines if line.get_marker() == "o"]
