@@ -20,7 +20,8 @@ from agents.config import CapacitySettings
 from agents.coverage.capacity import detecting_capability, unused_capacity
 from agents.coverage.cells import power_cell
 from deploy.plots.round_figure import round_figure
-from deploy.plots.run_figures import ESTIMATE, GONE, MUTED, STYLE, pictures
+from deploy.plots.run_figures import ESTIMATE, GONE, MUTED, STYLE
+from deploy.recording.moments import moments
 from deploy.recording.recording import Recording
 from deploy.scenario import Scenario
 from protocol.messages import Gossip
@@ -47,17 +48,17 @@ class SeenAgent(NamedTuple):
 SeenAgents = dict[str, SeenAgent]  # by name
 
 
-def moments(recording: Recording) -> list[SeenAgents]:
+def seen_agents_by_tick(recording: Recording) -> list[SeenAgents]:
     """All agents at every tick from which all of them were heard; raises BadSetting without such a tick."""
     found: list[SeenAgents] = []
-    for picture in pictures(recording):
+    for picture, truth in moments(recording):
         moment: SeenAgents = {}
         for index, known in enumerate(picture.agents.values()):
             gossip, estimate = picture.said(known)
             pose = picture.pose(known.name)
             if gossip is not None and estimate is not None and pose is not None and known.sensor is not None:
                 colour = MUTED[index % len(MUTED)]
-                spoke = picture.shown is not None and estimate.tick == picture.shown.tick  # the token may go while this tick is still drawn
+                spoke = estimate.tick == truth.tick  # the token may go while this tick is still drawn
                 moment[known.name] = SeenAgent(known.name, known.alive or spoke, pose, known.sensor, gossip, estimate, colour)
         if moment and len(moment) == len(picture.agents):
             found.append(moment)
@@ -69,7 +70,7 @@ def moments(recording: Recording) -> list[SeenAgents]:
 def write_figures(recording: Recording, folder: Path) -> list[Path]:
     """Write the pictures as PNG into a folder; the files. The picture of a death needs a run in which an agent dies."""
     folder.mkdir(parents=True, exist_ok=True)
-    scenario, all_moments = recording.scenario, moments(recording)
+    scenario, all_moments = recording.scenario, seen_agents_by_tick(recording)
     deaths = [(index, name) for index, moment in enumerate(all_moments) for name, seen in moment.items() if not seen.alive]
     at, name = (max(0, deaths[0][0] - 1), deaths[0][1]) if deaths else (len(all_moments) // 2, next(iter(all_moments[0])))
     moment = all_moments[at]

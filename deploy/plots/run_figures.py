@@ -4,7 +4,7 @@ Drawn from a recording with matplotlib, in a style for a column of a paper (PDF 
 """
 
 import shutil
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -20,8 +20,8 @@ from PIL import Image, ImageColor  # comes with matplotlib
 
 from deploy.page.frames import density_grid
 from deploy.page.picture import Picture
-from deploy.recording.recording import Recording, event_of
-from protocol.node import Received
+from deploy.recording.moments import moments
+from deploy.recording.recording import Recording
 from protocol.observer_messages import Truth
 from protocol.settings import BadSetting
 
@@ -60,54 +60,23 @@ class Trajectories:
             self.targets.setdefault(number, []).append((x, y))
 
 
-def pictures(recording: Recording) -> Iterator[Picture]:
-    """One picture, set to each tick in turn once the next but one begins: then all messages of the tick have arrived."""
-    picture = Picture(recording.scenario)
-    waiting: list[int] = []  # ticks that have begun
-    for entry in recording.entries():
-        event = event_of(entry)
-        if isinstance(event, Received) and event.batch.kind is Truth:
-            waiting.append(event.batch.messages[-1].tick)
-            yield from _shown(picture, waiting, 2)
-        picture.see(event, entry.time)
-        if _is_over(picture, event):
-            break
-    yield from _shown(picture, waiting, 0)
-
-
-def _shown(picture: Picture, waiting: list[int], later: int) -> Iterator[Picture]:
-    """The picture at those ticks that wait while `later` younger ones have begun."""
-    while len(waiting) > later:
-        picture.show(waiting.pop(0))
-        yield picture
-
-
-def _is_over(picture: Picture, event: object) -> bool:
-    """Whether the world has left after its last tick; agents that leave then are not lost."""
-    over = picture.truth is not None and picture.truth.tick >= picture.scenario.run.ticks - 1
-    return over and type(event).__name__ == "Gone" and getattr(event, "role", "") == "world"
-
-
 def figure_of(recording: Recording) -> Figure:
     """Three panels: the start, the end, and the trajectories; raises BadSetting when nothing was recorded."""
-    ways, last, first_drawn = Trajectories(), None, False
+    ways, last = Trajectories(), None
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(3.0 * PANEL + 0.5, PANEL + 0.75), layout="constrained")
         start, end, paths = figure.subplots(1, 3, sharex=True, sharey=True)
-        for picture in pictures(recording):
-            assert picture.shown is not None
-            ways.add(picture.shown)
-            if not first_drawn:
-                draw_moment(start, picture)
-                start.set_title(f"(a) start, t = {picture.shown.time:g} s")
-                first_drawn = True
-            last = picture
+        for moment in moments(recording):
+            ways.add(moment.truth)
+            if last is None:
+                draw_moment(start, moment.picture)
+                start.set_title(f"(a) start, t = {moment.truth.time:g} s")
+            last = moment
         if last is None:
             raise BadSetting(f"{recording.path}: nothing was recorded that could be drawn")
-        assert last.shown is not None
-        draw_moment(end, last)
-        end.set_title(f"(b) end, t = {last.shown.time:g} s")
-        draw_trajectories(paths, last, ways)
+        draw_moment(end, last.picture)
+        end.set_title(f"(b) end, t = {last.truth.time:g} s")
+        draw_trajectories(paths, last.picture, ways)
         paths.set_title("(c) trajectories")
         start.set_ylabel("y (m)")
         figure.legend(handles=_legend(), loc="outside lower center", ncols=5, frameon=False, handletextpad=0.4, columnspacing=1.4)
@@ -211,14 +180,13 @@ def write_animation(recording: Recording, folder: Path, progress: Callable[[int,
         axes = figure.subplots()
         writer = animation.FFMpegWriter(FRAMES_PER_SECOND) if with_film else SmallGif(FRAMES_PER_SECOND)
         with writer.saving(figure, str(file), dpi=FILM_DPI):
-            for picture in pictures(recording):
-                assert picture.shown is not None
-                if picture.shown.tick % every == 0:
+            for picture, truth in moments(recording):
+                if truth.tick % every == 0:
                     axes.clear()
                     draw_moment(axes, picture)
-                    axes.set_title(f"t = {picture.shown.time:.1f} s")
+                    axes.set_title(f"t = {truth.time:.1f} s")
                     writer.grab_frame()
-                    progress(picture.shown.tick + 1, ticks)
+                    progress(truth.tick + 1, ticks)
     return file
 
 

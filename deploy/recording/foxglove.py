@@ -31,8 +31,8 @@ def write_foxglove(recording: Recording, path: Path) -> int:
         writer = Writer(file)
         writer.start("")
         scene_channel, score_channel = _channels(writer)
-        for picture, time in moments(recording, scorer):
-            _say(writer, scene_channel, time, scene(picture, time))
+        for picture, truth in moments(recording, scorer):
+            _say(writer, scene_channel, truth.time, scene(picture, truth.time))
             scenes += 1
         for score in scorer.scores:
             _say(writer, score_channel, score.time, {name: getattr(score, name) for name in COLUMNS})

@@ -35,12 +35,13 @@ def write_rerun(recording: Recording, path: Path) -> int:
     stream.save(path)
     _log_arena(stream, recording)
     ticks, told, scorer = 0, 0, Scorer(recording.scenario, recorded=True)
-    for picture, time in moments(recording, scorer):
-        stream.set_time("world", duration=time)
+    for picture, truth in moments(recording, scorer):
+        stream.set_time("world", duration=truth.time)
         _log_bodies(stream, picture)
         _log_areas(stream, picture)
         _log_points(stream, picture)
         for one in [happening for happening in picture.happenings if happening.number > told]:
+            stream.set_time("world", duration=one.time)
             stream.log("happenings", rerun.TextLog(one.text, level="WARN" if one.kind in WARNINGS else "INFO"))
             told = one.number
         ticks += 1

@@ -16,7 +16,7 @@ from pyarrow import csv, parquet
 
 from deploy.cli import figures, recordings
 from deploy.plots import method_figures
-from deploy.plots.run_figures import Trajectories, pictures, write_animation, write_figure
+from deploy.plots.run_figures import Trajectories, write_animation, write_figure
 from deploy.recording.foxglove import SCENE_SCHEMA, write_foxglove
 from deploy.recording.moments import messages, moments
 from deploy.recording.observers import Observers, open_recorder
@@ -151,7 +151,7 @@ def test_a_drawing_has_the_scores_that_came_late_because_an_agent_was_silent(tmp
 def test_the_drawing_for_rerun_holds_every_tick_and_its_scores(run: Run, tmp_path: Path) -> None:
     pytest.importorskip("rerun", reason="needs the extra [rerun]")
     reading = pytest.importorskip("rerun.chunk", reason="needs a Rerun that reads its own files")
-    assert write_rerun(run[1], tmp_path / "a.rrd") == 19
+    assert write_rerun(run[1], tmp_path / "a.rrd") == 20
     rows: dict[str, dict[float, Any]] = {}
     for chunk in reading.RrdReader(str(tmp_path / "a.rrd")).stream():
         batch = chunk.to_record_batch()
@@ -163,9 +163,13 @@ def test_the_drawing_for_rerun_holds_every_tick_and_its_scores(run: Run, tmp_pat
     assert [ospa[time] for time in sorted(ospa)] == [[score.ospa] for score in run[0].scorer.scores]
     truth = next(message for message in messages(run[1]) if isinstance(message, Truth) and message.tick == 7)
     assert np.array(rows["/arena/targets"][7 * 0.25])[:, :2] == pytest.approx(truth.targets, abs=1e-5)
+    later = [
+        message for message in messages(run[1]) if isinstance(message, Gossip) and message.tick == 8
+    ]  # they carry what was owned after 7
+    assert len(rows["/arena/particles"][7 * 0.25]) == sum(len(gossip.states) for gossip in later) > 0
     assert len(rows["/arena/cells"][7 * 0.25]) == 6
     assert len(rows["/arena/dead"][18 * 0.25]) == 1
-    assert [text for texts in rows["/happenings"].values() for text in texts] == ["s2 is gone"]
+    assert {time: text[:17] for time, (text,) in rows["/happenings"].items()} == {3.0: "s2 is gone", 4.75: "s2 died at 3.0 s:"}
 
 
 def test_faults_and_what_became_of_them_stand_on_the_time_line_of_a_drawing(tmp_path: Path) -> None:
@@ -188,7 +192,7 @@ def test_a_tick_is_drawn_once_also_beside_those_that_a_world_that_was_restarted_
         recorder.see(received(truth, payloads=(codec.encode(truth),)), 0.25 * tick)
     recorder.close()
     recording = Recording(tmp_path / "a.mcap")
-    drawn = [moment.time / 0.25 for moment in moments(recording, Scorer(recording.scenario, recorded=True))]
+    drawn = [moment.truth.time / 0.25 for moment in moments(recording, Scorer(recording.scenario, recorded=True))]
     assert drawn == list(ticks)
 
 
@@ -203,15 +207,16 @@ def test_the_drawing_is_never_taken_for_the_recording(run: Run) -> None:
     assert find_recording(str(run[1].path.parent)) == run[1].path
 
 
-def test_figures_are_drawn_tick_by_tick_from_what_had_been_heard(run: Run) -> None:
+def test_a_run_is_drawn_tick_by_tick_with_the_estimates_and_the_particles_of_the_tick(run: Run) -> None:
+    """The gossip of the next tick carries the particles."""
     ways = Trajectories()
     ticks = []
-    for picture in pictures(run[1]):
-        assert picture.shown is not None
-        ways.add(picture.shown)
-        ticks.append(picture.shown.tick)
-        said = [picture.said(known)[1] for known in picture.agents.values() if known.alive]
-        assert {estimate.tick for estimate in said if estimate} <= {picture.shown.tick}
+    for picture, truth in moments(run[1]):
+        ways.add(truth)
+        ticks.append(truth.tick)
+        living = [known for known in picture.agents.values() if known.alive]
+        assert {estimate.tick for known in living if (estimate := picture.said(known)[1])} == {truth.tick}
+        assert {gossip.tick for known in living if (gossip := picture.outcome(known))} == {min(truth.tick + 1, 19)}
     assert ticks == list(range(20))
     assert {len(way) for way in ways.bodies.values()} == {20}
     assert picture.agents["s1"].alive
@@ -231,7 +236,7 @@ def test_a_figure_is_a_pdf_with_real_fonts_and_a_png(run: Run, tmp_path: Path) -
 def test_the_pictures_of_the_method_are_of_the_tick_before_the_first_death(run: Run, tmp_path: Path) -> None:
     names = [file.stem for file in method_figures.write_figures(run[1], tmp_path)]
     assert names == ["footprints", "cod", "power-cells", "unused-capacity", "goal", "claim", "copies", "round", "death"]
-    moments = method_figures.moments(run[1])
+    moments = method_figures.seen_agents_by_tick(run[1])
     assert [sum(seen.alive for seen in moment.values()) for moment in moments] == [6] * 12 + [5] * 8  # s2 falls silent with tick 12
     areas = [sum(shapely.Polygon(seen.estimate.cell).area for seen in moment.values() if seen.alive) for moment in moments]
     assert areas[11] == pytest.approx(625.0) and areas[12] < 624.0 and areas[13] == pytest.approx(625.0)  # the hole is drawn, and its end
