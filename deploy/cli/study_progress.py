@@ -4,6 +4,7 @@ import math
 import os
 import signal
 import sys
+import threading
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import closing, contextmanager, nullcontext
@@ -77,15 +78,25 @@ def _run(
     shares = shared_progress(len(trials))
     engine = on_a_cluster(todo, scheduler, play) if scheduler else on_this_machine(todo, min(workers, len(todo)), shares, play)
     ahead = RemainingWork(trials, todo, shares)
-    previous = signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # so that workers are ended on the way out
     try:
-        with closing(engine), _bar(console, len(trials), ahead) as show_progress:
+        with _exits_on_sigterm(), closing(engine), _bar(console, len(trials), ahead) as show_progress:
             _follow(engine, folder, trials, keys, ahead, show_progress)
     except TrialFailed as error:
         raise BadSetting(f"a trial failed, the others are kept: {error}") from error
     except KeyboardInterrupt:
         console.print(f"stopped; {ahead.finished} of {len(trials)} trials are kept in {folder.path}, the same command goes on")
         raise
+
+
+@contextmanager
+def _exits_on_sigterm() -> Iterator[None]:
+    """Meanwhile SIGTERM raises SystemExit, so that workers are ended on the way out. In a thread it does what it did before."""
+    if threading.current_thread() is not threading.main_thread():  # Python lets no other thread set a handler
+        yield
+        return
+    previous = signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
+    try:
+        yield
     finally:
         signal.signal(signal.SIGTERM, previous)
 

@@ -8,7 +8,7 @@ is, and the function that plays one, is the study's (`Job`, `Play`).
 import multiprocessing
 import signal
 import time
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Callable, Generator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from contextlib import suppress
 from pathlib import Path
@@ -82,18 +82,26 @@ def on_this_machine(trials: Sequence[Numbered], workers: int, shares: SharedProg
         futures = {pool.submit(_work, play, number, trial): (number, trial) for number, trial in trials}
         while futures:
             done, _ = wait(futures, TICK, FIRST_COMPLETED)
-            yield [_harvest(future, *futures.pop(future)) for future in done]
+            yield from _harvest({future: futures.pop(future) for future in done})
     finally:
+        started = list((pool._processes or {}).values())  # other children of this process are its caller's
         pool.shutdown(wait=False, cancel_futures=True)
-        for process in multiprocessing.active_children():
+        for process in started:
             process.terminate()
 
 
-def _harvest(future: "Future[Row]", number: int, trial: Job) -> tuple[int, Row]:
-    try:
-        return number, future.result()
-    except Exception as error:
-        raise TrialFailed(f"{trial.command()}: {type(error).__name__}: {error}") from error
+def _harvest(done: "Mapping[Future[Row], Numbered]") -> FinishedTrials:
+    """The rows of the trials that are done, as one step; only then it raises TrialFailed, where one has failed."""
+    rows: list[tuple[int, Row]] = []
+    failed: list[tuple[Job, Exception]] = []
+    for future, (number, trial) in done.items():
+        try:
+            rows.append((number, future.result()))
+        except Exception as error:
+            failed.append((trial, error))
+    yield rows
+    for trial, why in failed:
+        raise TrialFailed(f"{trial.command()}: {type(why).__name__}: {why}") from why
 
 
 def shared_progress(count: int) -> SharedProgress:
@@ -125,6 +133,6 @@ def _from_cluster(client: Any, trials: Sequence[Numbered], play: Play) -> Finish
         while futures:
             time.sleep(TICK)
             done = [future for future in futures if future.done()]
-            yield [_harvest(future, *futures.pop(future)) for future in done]
+            yield from _harvest({future: futures.pop(future) for future in done})
     finally:
         client.cancel(list(futures))

@@ -1,22 +1,27 @@
 """`covey study` from end to end with the smallest trials, its options, and what it says of the time that is left."""
 
 import json
+import multiprocessing
+import operator
 import os
+import signal
 import subprocess
 import sys
+import time
 from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from deploy.cli.study import run_study
-from deploy.cli.study_progress import ProgressBar, RemainingWork, _follow, console_of, remaining, words
+from deploy.cli.study_progress import ProgressBar, RemainingWork, _exits_on_sigterm, _follow, console_of, remaining, words
 from deploy.installation import ROOT, environment
 from deploy.studies.design import Design, design_fields, design_with, dotted_options
-from deploy.studies.engines import FinishedTrials, TrialFailed, on_a_cluster, on_this_machine, shared_progress
+from deploy.studies.engines import FinishedTrials, Numbered, TrialFailed, _harvest, on_a_cluster, on_this_machine, shared_progress
 from deploy.studies.results import StudyFolder
-from deploy.studies.trials import Trial, run_trial
+from deploy.studies.trials import Row, Trial, run_trial
 from protocol.settings import BadSetting
 
 SMALL = Design(
@@ -109,6 +114,50 @@ def test_a_trial_that_fails_names_its_command() -> None:
     bad = Trial(scenario="quick", seed=1, team="A1", targets=3, method="power", options={"targets.motion": "nowhere:Motion"})
     with pytest.raises(TrialFailed, match=r"covey simulate quick .*nowhere"):
         list(on_this_machine([(0, bad)], 1, shared_progress(1)))
+
+
+def test_a_trial_that_fails_costs_no_other_its_row() -> None:
+    trials = [Trial(scenario="quick", seed=seed, team="A1", targets=3, method="power") for seed in range(3)]
+    done: dict[Future[Row], Numbered] = {Future(): (number, trial) for number, trial in enumerate(trials)}
+    one, bad, another = done
+    one.set_result({"row": 0})
+    bad.set_exception(ValueError("no such thing"))
+    another.set_result({"row": 2})
+    steps = _harvest(done)
+    assert next(steps) == [(0, {"row": 0}), (2, {"row": 2})]
+    with pytest.raises(TrialFailed, match=r"--seed 1 .*: ValueError: no such thing"):
+        next(steps)
+
+
+def test_a_study_ends_no_process_but_its_own() -> None:
+    """Its workers compare a trial with a function, which is done at once."""
+    bystander = multiprocessing.get_context("spawn").Process(target=time.sleep, args=(600,))
+    bystander.start()
+    try:
+        trial = Trial(scenario="quick", seed=1, team="A1", targets=3, method="power")
+        (rows,) = [rows for rows in on_this_machine([(0, trial)], 1, shared_progress(1), operator.eq) if rows]
+        assert rows == [(0, False)]
+        bystander.join(0.5)
+        assert bystander.is_alive()
+        for process in multiprocessing.active_children():
+            if process is not bystander:
+                process.join(30.0)
+        assert multiprocessing.active_children() == [bystander]
+    finally:
+        bystander.kill()
+        bystander.join()
+
+
+def test_in_a_thread_a_study_leaves_signals_to_the_program() -> None:
+    def inside() -> object:
+        with _exits_on_sigterm():
+            return signal.getsignal(signal.SIGTERM)
+
+    before = signal.getsignal(signal.SIGTERM)
+    with ThreadPoolExecutor(1) as threads:
+        assert threads.submit(inside).result() == before
+    assert inside() != before
+    assert signal.getsignal(signal.SIGTERM) == before
 
 
 def test_a_scheduler_that_is_not_there_is_named() -> None:
