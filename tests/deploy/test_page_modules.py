@@ -99,6 +99,12 @@ def test_zoom_keeps_the_place_under_the_pointer_and_stays_within_the_arena() -> 
     assert node(f"(() => {{ {made}; view.by(0.1); return view.zoom; }})()", 0, "view") == 1
 
 
+def test_a_speed_between_those_of_the_list_is_followed_by_the_next_of_them() -> None:
+    speeds, asked = [0.5, 1, 2, 5, 10, 30], [[4, 1], [4, -1], [5, 1], [5, -1], [30, 1], [100, 1], [100, -1], [0.5, -1], [0.1, 1]]
+    steps = node("data[1].map(([now, steps]) => nextSpeed(data[0], now, steps))", [speeds, asked], "player")
+    assert steps == [5, 2, 10, 2, 30, 100, 30, 0.5, 0.5]
+
+
 def test_every_hint_has_a_text_of_short_sentences() -> None:
     texts = node("TEXTS", 0, "texts")
     tour = node("TOUR", 0, "texts")

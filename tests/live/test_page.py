@@ -154,8 +154,11 @@ def test_what_the_page_shows_is_what_was_recorded(covey: Covey, page: Any) -> No
 def test_a_replay_plays_pauses_is_scrubbed_and_changes_its_speed(covey: Covey, page: Any, tmp_path: Path) -> None:
     file = tmp_path / "some.mcap"
     assert covey.run("simulate", "quick", "--kill", "s3@10", "--record", str(file))[0] == 0
-    process = covey.start("replay", str(file), "--page", "0")
+    process = covey.start("replay", str(file), "--page", "0", "--speed", "4")
     alive(page, address(process))
+    until(page, "document.querySelector('#speed').value === '4'")
+    page.keyboard.press(">")
+    until(page, "covey.frame.play.speed === 5 && document.querySelector('#speed').value === '5'")
     until(page, "covey.frame.play.scanned && covey.history.time.length >= 118")
     assert page.evaluate("[...covey.happenings.values()].some(([, time, kind, who]) => kind === 'lost' && who === 's3' && time >= 10)")
     page.select_option("#speed", "10")

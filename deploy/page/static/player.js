@@ -1,5 +1,12 @@
 // The player of a replay or of a comparison: play, pause, seek, speed.
+import { element } from "./element.js";
 import { asked } from "./keep.js";
+
+// The speed that is so many steps from the present one, which may lie between those of the list; at its ends the present one.
+export function nextSpeed(speeds, now, steps) {
+  const beyond = speeds.filter((one) => (steps > 0 ? one > now : one < now)), at = steps > 0 ? steps - 1 : beyond.length + steps;
+  return beyond[Math.max(0, Math.min(beyond.length - 1, at))] ?? now;
+}
 
 export class Player {
   constructor(find, state) {
@@ -32,7 +39,7 @@ export class Player {
     this.button.textContent = now.playing ? "pause" : "play";
     this.button.setAttribute("aria-pressed", String(now.playing));
     if (!this.scrubbing) this.scrub.value = time;
-    if (document.activeElement !== this.speed) this.speed.value = String(now.speed);
+    if (document.activeElement !== this.speed) this.choose(now.speed);
   }
 
   toggle() { const { frame, send } = this.state; send({ play: !(frame && frame.play && frame.play.playing) }); }
@@ -41,8 +48,12 @@ export class Player {
 
   by(seconds) { if (this.seeks && this.state.frame) this.seek(this.state.frame.play.clock + seconds); }
 
-  faster(steps) {
-    const speeds = [...this.speed.options].map((one) => Number(one.value)), at = speeds.indexOf(this.state.frame.play.speed) + steps;
-    this.state.send({ speed: speeds[Math.max(0, Math.min(speeds.length - 1, at))] });
+  faster(steps) { this.state.send({ speed: nextSpeed([...this.speed.options].map((one) => Number(one.value)), this.state.frame.play.speed, steps) }); }
+
+  // Show a speed in the list; one of the command line may have to be added.
+  choose(speed) {
+    const options = [...this.speed.options];
+    if (!options.some((one) => Number(one.value) === speed)) this.speed.add(element("option", { value: speed }, `${speed} ×`), options.find((one) => Number(one.value) > speed) ?? null);
+    this.speed.value = String(speed);
   }
 }
