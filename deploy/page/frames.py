@@ -81,7 +81,7 @@ def moment(picture: Picture, score: Score | None) -> dict[str, Any]:
         "type": "frame",
         "tick": truth.tick if truth else -1,
         "time": truth.time if truth else 0.0,
-        "score": score_of(score),
+        "score": curve_values(score),
         "messages": picture.messages,
         "targets": _flat(truth.targets) if truth else [],
         "ids": [int(number) % 2**31 for number in truth.ids] if truth else [],
@@ -90,7 +90,7 @@ def moment(picture: Picture, score: Score | None) -> dict[str, Any]:
     }
 
 
-def score_of(score: Score | None) -> list[float] | None:
+def curve_values(score: Score | None) -> list[float] | None:
     """The figures of a tick in the order of `CURVES`."""
     return [round(float(getattr(score, name)), 4) for name in CURVES] if score else None
 

@@ -93,7 +93,7 @@ KeptMessage = TypeVar("KeptMessage", Gossip, Estimate)
 
 
 def up_to(said: dict[int, KeptMessage], tick: int) -> KeptMessage | None:
-    """The newest that is no younger than `tick`."""
+    """The newest of this tick or before."""
     ticks = [stamp for stamp in said if stamp <= tick]
     return said[max(ticks)] if ticks else None
 

@@ -230,6 +230,8 @@ def test_two_diagrams_go_in_step_and_a_target_follows_the_pointer_on_both_sides(
     until(page, "covey.frame && covey.frame.beside && covey.frame.tick > 20")
     assert page.evaluate("covey.frame.tick === covey.frame.beside.tick && covey.frame.targets.join() === covey.frame.beside.targets.join()")
     assert page.evaluate("covey.frame.agents.map((one) => one.cell).join() !== covey.frame.beside.agents.map((one) => one.cell).join()")
+    assert page.get_attribute("#beside", "aria-label") == "The same run with voronoi, from above"
+    assert "choose an agent" in page.inner_text("#help dt:text-is('← →') + dd")
     page.evaluate(WRITTEN)
     until(page, "errors.length > 20")
     assert [one for one, other in page.evaluate("errors") if one != other] == [], "the arena says what the figures say"

@@ -65,7 +65,7 @@ function top(value) {
   return [1, 1.5, 2, 3, 4, 5, 7.5, 10].map((step) => step * size).find((step) => step >= value * 0.9999);
 }
 
-// Where in the curves a time stands: the last point that is no younger; -1 before the first.
+// Where in the curves a time stands: the last point of this time or before; -1 before the first.
 export function indexAt(times, time) {
   let low = 0, high = times.length;
   while (low < high) { const middle = (low + high) >> 1; times[middle] <= time ? (low = middle + 1) : (high = middle); }

@@ -80,6 +80,7 @@ function hello(message) {
   document.title = `${message.run} – Covey`;
   $("beside").hidden = !message.beside;
   arenas.forEach((arena, index) => { arena.title = names[index]; });
+  $("beside").setAttribute("aria-label", `The same run with ${names[1]}, from above`);
   document.body.classList.toggle("compares", Boolean(message.beside));
   const [mine, other] = names.map((name) => name.split(", ")[0]); // the arenas say the whole of it
   CHARTS[0].lines = message.beside ? [["ospa", mine], ["beside", other]] : [["ospa", ""]];
@@ -99,7 +100,7 @@ function begin() {
   if (state.held) hold();
   view.reset();
   buildRoster($("roster").tBodies[0], state, choose);
-  fillHelp($("help"), SWITCHES, player.plays);
+  fillHelp($("help"), SWITCHES, player);
 }
 
 function arrived(data) {
@@ -275,7 +276,7 @@ function theme() {
   const root = document.documentElement;
   root.dataset.theme = root.dataset.theme === "light" ? "dark" : "light";
   try { localStorage.setItem("covey-theme", root.dataset.theme); } catch { /* not kept */ }
-  if (state.hello) { buildRoster($("roster").tBodies[0], state, choose); fillHelp($("help"), SWITCHES, player.plays); }
+  if (state.hello) { buildRoster($("roster").tBodies[0], state, choose); fillHelp($("help"), SWITCHES, player); }
   if (state.chosen) buildBelief($("belief"), state, act, () => choose(state.chosen));
   schedule(true);
 }
@@ -326,5 +327,5 @@ new ResizeObserver(() => schedule(true)).observe($("frame"));
 keys({ state, view, player, switches: SWITCHES, flip, theme, help, escape, hold, step, readAt, charts: charts.map(([canvas]) => canvas) });
 
 buildFigures($("figures"));
-fillHelp($("help"), SWITCHES, false);
+fillHelp($("help"), SWITCHES, player);
 connect();

@@ -101,13 +101,13 @@ export function fillBelief(box, state) {
 }
 
 // ---------------------------------------------------------------- help
-export function fillHelp(box, switches, replay) {
+export function fillHelp(box, switches, { plays, seeks }) {
   const keys = [["click, ↑ ↓", "choose an agent: what it believes is drawn over the arena"], ["Esc", "close what is open; choose nobody; see the whole arena"],
-    ["space", replay ? "play or pause" : "hold the picture, or go on; the swarm goes on all the time"],
-    ["← →", replay ? "one second back or on (Shift: ten)" : "choose an agent"],
+    ["space", plays ? "play or pause" : "hold the picture, or go on; the swarm goes on all the time"],
+    ["← →", seeks ? "one second back or on (Shift: ten)" : "choose an agent"],
     ["wheel, + −", "zoom; two fingers do the same"], ["drag, Shift + arrows", "move the arena"], ["double click, 0", "the whole arena"],
     ...switches.map(([key, , text]) => [key, `${text} on or off`]), ["x", "dark or light"], ["?", "this page"]];
-  if (replay) keys.push(["< >", "slower or faster"]);
+  if (plays) keys.push(["< >", "slower or faster"]);
   const list = element("dl");
   for (const [key, text] of keys) list.append(element("dt", {}, key), element("dd", {}, text));
   box.replaceChildren(element("h2", {}, "Keys"), list, element("h2", {}, "Colours"),

@@ -15,7 +15,7 @@ export const TEXTS = {
   // columns of the list
   agent: ["Agent", "The name, and the class of its sensor.", "Choose it to see what it believes."],
   state: ["State", "Alive, listening (it has just come), silent, paused or dead.", "·2 means that it has been restarted once."],
-  U: ["Unused capacity U", "How much of its sensor's power an agent has left, in m².", "An agent that watches many targets has little left.", "U makes its cell larger or smaller."],
+  U: ["Unused capacity U", "How much of its sensor's power an agent has left, in m².", "An agent that watches many targets has little left.", "In a power diagram U makes its cell larger or smaller."],
   "g(U)": ["Power radius", "The radius that stands for U in the diagram, in metres. It is that of U one round before.", "A larger radius pushes the border of the cell outwards."],
   load: ["Load", "Expected targets within the footprint of the sensor."],
   mass: ["Mass", "Expected targets within the cell.", "The agent answers for these."],
@@ -24,7 +24,7 @@ export const TEXTS = {
   "rej.": ["Rejected", "Messages that were refused because they made no sense."],
   "skip.": ["Skipped", "Rounds that this agent left out."],
   // marks and layers
-  cells: ["Cells", "The arena is divided among the agents: a power diagram.", "Each agent answers for its cell.", "Two cells that touch never share a colour."],
+  cells: ["Cells", "The arena is divided among the agents: a power diagram, or one without weights (Voronoi).", "Each agent answers for its cell.", "Two cells that touch never share a colour."],
   density: ["Density", "Where the agents expect targets: the PHD.", "The brighter, the more targets are expected there."],
   footprints: ["Footprints", "What each sensor can see.", "Targets outside all footprints cannot be detected."],
   centroids: ["COD, centroid of detection", "The middle of what a sensor sees well.", "The diagram is drawn around it, not around the body.", "The line leads from the body to it."],

@@ -30,7 +30,7 @@ export class View {
   }
 }
 
-// Wheel, drag, pinch and double click on an arena. `held(place)` may take a press for itself: it returns what follows the drag, or null.
+// Wheel, drag, pinch and double click on an arena. `held(event)` may take a press for itself: it returns what follows the drag, or null.
 export function attach(arena, view, held) {
   const { canvas } = arena, down = new Map();
   let dragged = false, follow = null;
