@@ -134,7 +134,10 @@ class ReplaySource:
         self.jumps += 1
 
     def _feed(self, until: float, jumped_from: float | None = None) -> None:
-        """Show the picture what was heard up to a time. After a jump: of what is older than `jumped_from` the truth and tokens alone."""
+        """Show the picture what was heard up to a time, and put the messages into the outbox.
+
+        After a jump the outbox gets none of them, and of what is older than `jumped_from` the picture sees the truth and tokens alone.
+        """
         self.picture.pause(paused_after(fault for fault in self._recording.faults if fault.time <= until))
         while True:
             entry = self._next or next(self._entries, None)
@@ -150,7 +153,7 @@ class ReplaySource:
                 self.picture.see(event, entry.time)
                 if starts and self.picture.truth is not None:
                     self.picture.assume(self.picture.truth)
-                if self.outbox is not None and isinstance(event, Received):
+                if self.outbox is not None and jumped_from is None and isinstance(event, Received):
                     self.outbox.extend(event.batch.messages)
 
 

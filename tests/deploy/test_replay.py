@@ -160,6 +160,10 @@ def test_what_is_played_is_said_again_message_for_message(run: tuple[Simulation,
     assert all(isinstance(effect, Message) for effect in said)
     assert [effect.tick for effect in said if isinstance(effect, Command) and effect.sender == "s1"] == list(range(9))
     assert node.handle(Timer(), 0.1) == []
+    replay.seek(15.0)
+    assert node.handle(Timer(), 0.15) == [], "the past is not said again after a jump"
+    replay.advance(0.5)
+    assert {effect.tick for effect in node.handle(Timer(), 0.2) if isinstance(effect, Command)} == {61, 62}
 
 
 def test_a_cut_recording_is_replayed_as_far_as_it_goes(run: tuple[Simulation, Recording], tmp_path: Path) -> None:
