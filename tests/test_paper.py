@@ -28,7 +28,7 @@ from protocol.geometry import EMPTY, distances, polygon_area, polygon_centroid, 
 from protocol.pose import integrate
 from protocol.sensing import SENSOR_CLASSES, WedgeSensor
 from protocol.settings import ArenaSettings, LimitSettings
-from world.score import heterogeneity_level, ospa, total_capacity
+from world.score import heterogeneity_level, ospa
 from world.targets import Targets
 
 ARENA = rectangle(100.0, 100.0)
@@ -275,7 +275,7 @@ def test_equation_19_definition_2_heterogeneity_level() -> None:
 
 def test_equation_20_definition_3_total_sensing_capacity() -> None:
     """III-B: "C(S) = sum of C_max" """
-    assert total_capacity(team("1")) == pytest.approx(4 * 132.70 + 12 * 24.88, abs=0.1)
+    assert sum(team("1")) == pytest.approx(4 * 132.70 + 12 * 24.88, abs=0.1)
 
 
 # Section IV: simulation
@@ -345,7 +345,7 @@ def test_erratum_printed_levels_are_half_of_equation_19_and_two_labels_are_swapp
 
 def test_erratum_total_capacities_are_not_identical() -> None:
     """IV-C: teams 6 to 8 "have an identical total sensing capacity": 20E+4H lacks a sixth of it; 20E+5H would have it."""
-    capacities = {name: total_capacity(team(name)) for name in ("20E+20F", "20E+10G", "20E+4H", "20E+5H")}
+    capacities = {name: sum(team(name)) for name in ("20E+20F", "20E+10G", "20E+4H", "20E+5H")}
     assert capacities == pytest.approx({"20E+20F": 4974.2, "20E+10G": 4974.1, "20E+4H": 4136.4, "20E+5H": 4974.2}, abs=0.1)
     assert level("20E+5H") == pytest.approx(5.118, abs=1e-3)
 

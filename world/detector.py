@@ -92,10 +92,6 @@ class Detector:
         self._counts = poisson_table(settings.clutter)
         self._seed = seed
 
-    def scan(self, sensor: SensorModel, pose: Pose, name: str, positions: np.ndarray, ids: np.ndarray, tick: int) -> np.ndarray:
-        """The detections (M, 2) float32 of one sensor; the same as from `scans` in any company."""
-        return self.scans([sensor], [pose], [name], positions, ids, tick, sightings([sensor], [pose], positions))[0]
-
     def scans(
         self,
         sensors: Sequence[SensorModel],

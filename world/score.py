@@ -78,11 +78,6 @@ def heterogeneity_level(radii: Sequence[float] | np.ndarray) -> float:
     return float(np.sqrt(np.mean((values - values.mean()) ** 2)))
 
 
-def total_capacity(capabilities: Sequence[float] | np.ndarray) -> float:
-    """Sum of the detecting capabilities of a team, m^2 (20), Definition 3."""
-    return math.fsum(capabilities)
-
-
 def _assigned_costs(truth: np.ndarray, estimate: np.ndarray, cutoff: float, order: float) -> np.ndarray:
     """min(d, cutoff)^order of each pair of a cheapest assignment, as many as the smaller set has points."""
     if not len(truth) or not len(estimate):

@@ -75,8 +75,18 @@ def ids_of(positions: np.ndarray) -> np.ndarray:
     return np.arange(1, len(positions) + 1, dtype=np.uint64)
 
 
-def scan(detector: Detector, sensor: SensorModel, pose: Pose, positions: np.ndarray, tick: int = 0, name: str = "s1") -> np.ndarray:
-    return detector.scan(sensor, pose, name, positions, ids_of(positions), tick)
+def scan(
+    detector: Detector,
+    sensor: SensorModel,
+    pose: Pose,
+    positions: np.ndarray,
+    tick: int = 0,
+    name: str = "s1",
+    ids: np.ndarray | None = None,
+) -> np.ndarray:
+    """The detections of one sensor alone."""
+    ids = ids_of(positions) if ids is None else ids
+    return detector.scans([sensor], [pose], [name], positions, ids, tick, sightings([sensor], [pose], positions))[0]
 
 
 def test_targets_in_the_wedge_are_seen_and_others_are_not() -> None:
@@ -199,8 +209,8 @@ def test_detections_are_sorted_float32_and_do_not_follow_the_order_of_the_target
 def test_the_same_targets_in_another_order_give_the_same_scan() -> None:
     positions = np.array([[6.0, 0.0], [2.0, 1.0], [4.0, -1.0]])
     detector, ids, back = Detector(NO_EFFECTS, SEED), np.array([3, 1, 2], dtype=np.uint64), [2, 0, 1]
-    first = detector.scan(DISC, (0.0, 0.0, 0.0), "s1", positions, ids, 5)
-    second = detector.scan(DISC, (0.0, 0.0, 0.0), "s1", positions[back], ids[back], 5)
+    first = scan(detector, DISC, (0.0, 0.0, 0.0), positions, 5, ids=ids)
+    second = scan(detector, DISC, (0.0, 0.0, 0.0), positions[back], 5, ids=ids[back])
     assert first.tobytes() == second.tobytes()
 
 
@@ -212,15 +222,15 @@ def test_a_scan_is_the_same_in_any_company() -> None:
     poses = [(5.0 * number, 4.0 * number, float(number)) for number in range(8)]
     together = detector.scans(sensors, poses, names, positions, ids_of(positions), 3, sightings(sensors, poses, positions))
     for sensor, pose, name, expected in zip(sensors, poses, names, together):
-        alone = detector.scan(sensor, pose, name, positions, ids_of(positions), 3)
+        alone = scan(detector, sensor, pose, positions, 3, name)
         assert alone.tobytes() == expected.tobytes()
     assert sum(len(some) for some in together) > 20
 
 
 def test_other_targets_do_not_change_how_one_is_seen() -> None:
     detector, ids = Detector(NO_EFFECTS, SEED), np.array([7, 8], dtype=np.uint64)
-    both = detector.scan(DISC, (0.0, 0.0, 0.0), "s1", np.array([[1.0, 0.0], [5.0, 0.0]]), ids, 2)
-    one = detector.scan(DISC, (0.0, 0.0, 0.0), "s1", np.array([[1.0, 0.0]]), ids[:1], 2)
+    both = scan(detector, DISC, (0.0, 0.0, 0.0), np.array([[1.0, 0.0], [5.0, 0.0]]), 2, ids=ids)
+    one = scan(detector, DISC, (0.0, 0.0, 0.0), np.array([[1.0, 0.0]]), 2, ids=ids[:1])
     assert one.tobytes() == both[:1].tobytes()
 
 

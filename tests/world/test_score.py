@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from protocol.sensing import SENSOR_CLASSES
-from world.score import errors, gospa, heterogeneity_level, ospa, total_capacity
+from world.score import errors, gospa, heterogeneity_level, ospa
 
 NOTHING = np.empty((0, 2))
 coordinates = st.floats(-30.0, 30.0, allow_nan=False, width=32)
@@ -143,9 +143,3 @@ def radius(letter: str) -> float:
 @pytest.mark.parametrize(("letter", "number", "level"), [("F", 20, 2.3147), ("G", 10, 3.7766), ("H", 4, 4.7682)])
 def test_the_levels_of_the_teams_of_section_iv_c(letter: str, number: int, level: float) -> None:
     assert heterogeneity_level([radius("E")] * 20 + [radius(letter)] * number) == pytest.approx(level, abs=5e-5)
-
-
-@pytest.mark.parametrize(("letter", "number", "capacity"), [("F", 20, 4974.2), ("G", 10, 4974.1), ("H", 4, 4136.4)])
-def test_the_capacities_of_the_teams_of_section_iv_c(letter: str, number: int, capacity: float) -> None:
-    team = [SENSOR_CLASSES["E"]] * 20 + [SENSOR_CLASSES[letter]] * number
-    assert total_capacity([sensor.area * sensor.prob_detection for sensor in team]) == pytest.approx(capacity, abs=0.05)
