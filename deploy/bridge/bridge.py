@@ -1,7 +1,7 @@
 """The bridge of one agent: what its robot says in ROS 2 becomes its body in the swarm, and what the agent commands becomes cmd_vel.
 
 /s3/odom        nav_msgs/Odometry            in   where the robot is
-/s3/detections  geometry_msgs/PoseArray      in   what its sensor found, in the odometry's frame or in the robot's own
+/s3/detections  geometry_msgs/PoseArray      in   what its sensor found, in the odometry's frame or in the robot's own, as its header says
 /s3/cmd_vel     geometry_msgs/Twist          out  20 times a second, in the robot's own frame
 /s3/targets     geometry_msgs/PoseArray      out  the targets that the agent believes in, in the arena's frame, `map`
 /s3/cell        geometry_msgs/PolygonStamped out  its cell
@@ -50,7 +50,8 @@ class Bridge:
         self.body = RobotBody(rules, self._client.incarnation, self._client.say, self._client.appear)
         self._watchdog = BridgeWatchdog(rules.expected)
         self._axle: Placement = (0.0, 0.0, 0.0)  # of the robot, in the arena's frame
-        self._robot_frame = ""
+        self._frames: tuple[str, str] | None = None  # names of the odometry's frame and of the robot's own, once it has said them
+        self._foreign: set[str] = set()  # other frames that scans have named
         self._moves = threading.Lock()  # odometry comes in a thread of Zenoh
         for heard in kept(options.keep):
             self.body.hear(heard, 0.0)
@@ -97,14 +98,27 @@ class Bridge:
         if not all(map(math.isfinite, axle)):
             return  # the body soon stands for want of odometry
         with self._moves:
-            self._robot_frame, self._axle = said.child_frame_id, axle
+            self._frames, self._axle = (said.header.frame_id, said.child_frame_id), axle
             self.body.at(placed(axle, (offset, 0.0, 0.0)), time.monotonic())
 
     def _on_detections(self, said: Any) -> None:
-        """Note a scan; it is in the robot's own frame if its header says so."""
+        """Note a scan in the odometry's frame or the robot's own, as its header says. There is no other, for nobody says where it lies."""
+        named = said.header.frame_id
         with self._moves:
-            frame = self._axle if self._robot_frame and said.header.frame_id == self._robot_frame else self._options.origin
+            if self._frames is None:
+                return  # the body is not there before its odometry
+            if named not in self._frames:
+                self._refuse(named, *self._frames)
+                return
+            frame = self._options.origin if named == self._frames[0] else self._axle
             self.body.sees([moved(frame, (pose.position.x, pose.position.y)) for pose in said.poses], time.monotonic())
+
+    def _refuse(self, named: str, odometry: str, own: str) -> None:
+        """Say once that scans in a frame do not count."""
+        if named not in self._foreign:
+            self._foreign.add(named)
+            right = f"should be {odometry!r}, the odometry's frame, or {own!r}, its child_frame_id"
+            print(f"bridge: /{self._options.agent}/detections: header.frame_id = {named!r}: {right}; these do not count", file=sys.stderr)
 
     def _on_heard(self, heard: Heard) -> None:
         """Take what the swarm says; the agent's estimate is for people who watch in ROS."""

@@ -120,6 +120,26 @@ def test_odometry_that_is_no_number_leaves_the_robots_heading_as_it_was() -> Non
     assert bridge._axle == before
 
 
+def test_a_scan_counts_in_the_frames_of_the_odometry_and_of_the_robot_and_in_no_other(capsys: pytest.CaptureFixture[str]) -> None:
+    bridge = Bridge.__new__(Bridge)
+    bridge.body, bridge._moves, bridge._options = Desk().body, threading.Lock(), BridgeOptions(Path(), "s3", origin=(10.0, 0.0, 0.0))
+    bridge._axle, bridge._frames, bridge._foreign = (0.0, 0.0, 0.0), None, set()
+
+    def places(frame: str) -> list[tuple[float, float]] | None:
+        bridge.body._scan = None
+        poses = [message("geometry_msgs/msg/Pose", point(1.0, 0.0), upright())]
+        bridge._on_detections(SimpleNamespace(header=SimpleNamespace(frame_id=frame), poses=poses))
+        return bridge.body._scan and bridge.body._scan[0]
+
+    assert places("odom") is None  # the frames are not known yet
+    pose = message("geometry_msgs/msg/Pose", point(5.0, 2.0), upright())
+    bridge._on_odometry(SimpleNamespace(header=SimpleNamespace(frame_id="odom"), pose=SimpleNamespace(pose=pose), child_frame_id="base"))
+    assert (places("odom"), places("base")) == ([(11.0, 0.0)], [(16.0, 2.0)])
+    assert places("camera_link") is places("camera_link") is None
+    [line] = capsys.readouterr().err.splitlines()
+    assert line.startswith("bridge: /s3/detections: header.frame_id = 'camera_link': should be 'odom', the odometry's frame, or 'base',")
+
+
 def test_wheels_move_the_sensor_at_the_velocity_that_was_asked_for() -> None:
     heading, velocity, offset = 0.7, (0.4, -0.3), 0.2
     ahead, left, turn = wheels(velocity, 9.9, heading, 0.0, 5.0)
