@@ -361,6 +361,7 @@ class Agent(Node):
         if reopenings:
             self.counters["reopened"] += 1
         effects = [*interest.close_round(gossip, self.outcome, self._own_pose.command), *reopenings]
+        # in place, for the history of a late agent holds the same belief and replays its merge
         self.outcome.belief.generator_names &= self.peer_table.interest_set.keys() | {self.name}
         return effects
 

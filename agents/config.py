@@ -129,7 +129,7 @@ class TimingSettings(Section, frozen=True, kw_only=True):
     deadline: Fraction = 0.5  # a round closes at this share of the period at the latest, in lockstep at this share of `run.patience`
     silent_rounds: Annotated[int, msgspec.Meta(ge=1, le=1000)] = 4  # a silent peer stays a generator this long at least
     silence: NotNegative = 1.0  # and so long at least, s of the clock, realtime only
-    listening_rounds: Annotated[int, msgspec.Meta(ge=0, le=100)] = 2  # that hear somebody, at most, for a new incarnation
+    listening_rounds: Annotated[int, msgspec.Meta(ge=0, le=100)] = 2  # incomplete rounds without a cell after a late start, at most
     look_ahead: Annotated[float, msgspec.Meta(ge=0.0, le=60.0)] = 0.0  # s after the own observation that a gossip may come, realtime only
     overlap: NotNegative = 0.0  # both claims count this close to a contested border, m (docs/explanation/decisions/0003)
     estimate_every: Annotated[int, msgspec.Meta(ge=1, le=1000)] = 1  # ticks between two estimates

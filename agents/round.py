@@ -1,7 +1,8 @@
 """One closed round: the belief, the cell and the command that follow from the gossips of a tick.
 
-`run_round` changes none of its arguments: the last result, the peer table and the gossips of this tick, the own one included. Only a
-control law may have a memory. The tracker decides how targets are tracked.
+What `run_round` returns follows from its arguments alone: the last result, the peer table and the gossips of this tick, the own one
+included. Only a control law may have a memory. What is computed once is kept in them: the copies of the last belief, and what all agents
+with one table share (`batched_round`). The tracker decides how targets are tracked.
 """
 
 import math

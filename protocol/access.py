@@ -53,16 +53,16 @@ def access_control(run: str, agents: Iterable[str]) -> dict[str, Any]:
     names = [WORLD, WATCHER, OPERATOR, *agents]
     for name in names:
         own = [
-            _rule(f"{name} says", ["put"], ["ingress"], _published(run, name)),
-            _rule(f"{name} is there", ["liveliness_token", "reply"], ["ingress"], _tokens(run, name)),
-            _rule(f"{name} asks", ["declare_subscriber"], ["ingress"], _subscribed(run, name)),
-            _rule(f"{name} hears", ["put"], ["egress"], _subscribed(run, name)),
+            _rule(f"{name} publishes", ["put"], ["ingress"], _published(run, name)),
+            _rule(f"{name} declares its tokens", ["liveliness_token", "reply"], ["ingress"], _tokens(run, name)),
+            _rule(f"{name} subscribes", ["declare_subscriber"], ["ingress"], _subscribed(run, name)),
+            _rule(f"{name} receives", ["put"], ["egress"], _subscribed(run, name)),
         ]
         own = [rule for rule in own if rule["key_exprs"]]
         rules += own
         policies.append({"rules": [rule["id"] for rule in own], "subjects": [name]})
-    rules.append(_rule("all look who is there", TOKEN_QUERIES, ["ingress"], [all_tokens(run)]))
-    rules.append(_rule("what I declare goes out", DECLARATIONS, ["egress"], [f"{ROOT}/{run}/**"]))
+    rules.append(_rule("all ask for tokens", TOKEN_QUERIES, ["ingress"], [all_tokens(run)]))
+    rules.append(_rule("own declarations go out", DECLARATIONS, ["egress"], [f"{ROOT}/{run}/**"]))
     policies.append({"rules": [rule["id"] for rule in rules[-2:]], "subjects": names})
     subjects = [{"id": name, "cert_common_names": [name]} for name in names]
     return {"enabled": True, "default_permission": "deny", "rules": rules, "subjects": subjects, "policies": policies}

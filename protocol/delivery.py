@@ -1,7 +1,8 @@
 """The endpoints of the virtual bus, and the messages on their way to them.
 
-A `BusEndpoint` is a node and the state that the bus keeps for it. A `Delivery` is one message and its receivers. A `MessageGroup` is a
-sequence of messages of one kind to the same receivers, put into a batch once for all of them.
+A `BusEndpoint` is a node and the state that the bus keeps for it. A `Delivery` is one message, as bytes, and its receivers. A
+`MessageGroup` is a sequence of messages of one kind to the same receivers, decoded and put into a batch once for all of them. Gossips,
+beacons, Hellos and estimates wait in the mailboxes of their receivers until the instant holds no other event (`VirtualBus`).
 """
 
 from collections import Counter, deque

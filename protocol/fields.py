@@ -12,7 +12,8 @@ import numpy as np
 
 from protocol.cached_attribute import cached_attribute
 
-Name = Annotated[str, msgspec.Meta(pattern=r"^[A-Za-z0-9_.-]{1,64}\Z")]  # of a participant or a sensor class
+NAME_PATTERN = r"^[A-Za-z0-9_.-]{1,64}\Z"
+Name = Annotated[str, msgspec.Meta(pattern=NAME_PATTERN)]  # of a participant or a sensor class
 
 MAX_ROWS = 8192  # of every array and of every list of names that a round reads
 MAX_DETECTIONS = MAX_NAMES = MAX_ROWS

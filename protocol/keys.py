@@ -14,13 +14,14 @@ from functools import lru_cache
 from sys import intern
 from typing import NamedTuple
 
+from protocol.fields import NAME_PATTERN
 from protocol.message import Message
 from protocol.messages import Beacon, Observation
 
 ROOT = "covey"
 RUN_WIDE_KINDS = ("truth", "halt")  # kinds with one key for the whole run
 LONGEST_KEY = 256  # characters of a message key: two names, a kind and two numbers
-NAME = re.compile(r"^[A-Za-z0-9_.-]{1,64}\Z")
+NAME = re.compile(NAME_PATTERN)
 
 INCARNATION = re.compile(r"^(0|[1-9][0-9]{0,18})\Z")
 TILE = re.compile(r"^(0|[1-9][0-9]{0,6})\Z")

@@ -128,7 +128,10 @@ class Stop:
 
 @dataclass(frozen=True, slots=True)
 class Reopen:
-    """Leave the network and join it again: this node's session is half open."""
+    """Leave the network and join it again: this node's session is half open.
+
+    A driver may leave it out. In a simulation no session is ever half open, and with link faults made on purpose silence proves nothing.
+    """
 
     reason: str
 

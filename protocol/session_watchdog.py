@@ -1,9 +1,9 @@
 """The watchdog of one node over its own session: which peers it receives, and whether the session is half open.
 
 Two Zenoh peers that lose and regain each other can be left with half a session: one or both receive nothing any more (zenoh issue
-2806). A node alone cannot tell this from a death. The Hellos of the others can: each lists the peers that its sender receives. Two
-signs make an alarm, upon which the session is opened anew. At least half of the received peers list a peer that is silent here. Or a
-peer goes on sending Hellos after its token has vanished: half a session may carry messages, but no tokens.
+2806). A node alone cannot tell this from a death. The Hellos of the others can: each lists the peers that its sender receives. Each of two
+signs is an alarm, upon which the session is opened anew. One: at least half of the received peers list a peer that is silent here. The
+other: a peer goes on sending Hellos after its token has vanished, for half a session may carry messages, but no tokens.
 """
 
 from collections.abc import Collection, Iterable

@@ -41,7 +41,7 @@ _Entry = tuple[BusEndpoint, Item] | Delivery | _Call  # of the queue
 
 
 class VirtualBus:
-    """Drives nodes in virtual time; `now` is in s."""
+    """The driver of all nodes of a simulation: it hands them events in the order of time, and carries out their effects; `now` is in s."""
 
     def __init__(self, *, link: Link | None = None, command_delay: float = 0.0) -> None:
         """`command_delay`: the delay of every Command, s, so that time passes in a world that waits for nothing else."""

@@ -44,7 +44,7 @@ def gossip(
 ) -> Gossip:
     """The gossip of a tick: pose, scan and generator; and the owned state, if the last round is that of the tick before.
 
-    `behind`: so many rounds before this tick are still to be played, and the last round is that before them. `pose_noise`: of the pose.
+    `behind`: the number of rounds before this tick that are still to be played. `pose_noise`: standard deviations of the pose, m and rad.
     """
     owned = outcome.belief.mine
     current = outcome.belief.tick == observation.tick - 1 - behind

@@ -149,7 +149,7 @@ def birth_density(predicted: Particles, scan: Scan, explained: np.ndarray, birth
     if not birth.measurement:
         return np.zeros(len(scan.detections))
     if model_of(measurement_of(scan.sensor))[0] == BEARING:  # the place along the beam is not known
-        return np.full(len(scan.detections), min(least_density(scan.clutter_density, birth), birth.most_density))
+        return np.full(len(scan.detections), least_density(scan.clutter_density, birth))
     masses = mass_within(scan.detections, predicted.states, predicted.weights, birth.radius)
     known = mass_within(scan.detections, scan.detections, explained, birth.radius)
     local = (masses - known) / (math.pi * birth.radius * birth.radius)
@@ -158,7 +158,7 @@ def birth_density(predicted: Particles, scan: Scan, explained: np.ndarray, birth
 
 def least_density(clutter_density: float, birth: BirthSettings) -> float:
     """The lower limit of a birth density, per m^2: above 0 without clutter, and at most half of `most_density` with much clutter."""
-    return max(birth.least_density, min(birth.least_share * clutter_density, 0.5 * birth.most_density))
+    return min(max(birth.least_density, min(birth.least_share * clutter_density, 0.5 * birth.most_density)), birth.most_density)
 
 
 def measurement_births(scan: Scan, per_particle: np.ndarray, labels: np.ndarray, step: Step) -> Particles:

@@ -218,7 +218,7 @@ def _detected(mixture: Mixture, scan: Scan, noise: np.ndarray, step: Step) -> tu
 
 def birth_density(scan: Scan, config: AgentConfig) -> float:
     """Density of targets at a detection that no component stands for, per m^2: the least one, since components cover what is known."""
-    return min(least_density(scan.clutter_density, config.birth), config.birth.most_density) if config.birth.measurement else 0.0
+    return least_density(scan.clutter_density, config.birth) if config.birth.measurement else 0.0
 
 
 def _births(scan: Scan, noise: np.ndarray, weights: np.ndarray, step: Step) -> Mixture:

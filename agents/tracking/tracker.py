@@ -4,7 +4,8 @@ Data types: a `RegionInput` is an owner with its cell; a `RegionUpdate` is the r
 `OwnedState` goes into the next gossip. The density, the owned targets and the copies in them are of the tracker's own types.
 
 Rules. A round knows agents, cells and claims; the tracker alone knows how targets are represented. A `Tracker` is a set
-of functions that give new values and keep their arguments; `belief.ParticlePhd` is one. Copies of others are computed when first needed.
+of functions that give new values; `belief.ParticlePhd` is one. Copies of others are computed when first needed, and kept in the belief
+that they belong to.
 """
 
 from collections.abc import Sequence
