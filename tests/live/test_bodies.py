@@ -42,6 +42,7 @@ def ticks_without_command(logs: Path) -> int:
 
 
 @pytest.mark.slow
+@pytest.mark.nightly
 def test_eight_agents_and_eight_bodies_walk_the_way_of_the_world_driven_run_to_the_last_bit(covey: Covey) -> None:
     result = covey.result("up", "convergence", "--lockstep", "--record", *TEAM, *PATIENT)
     assert result["transcript"] == simulated()

@@ -169,6 +169,7 @@ def test_a_strict_swarm_refuses_to_start_without_a_member(covey: Covey) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.nightly
 def test_a_zygote_that_dies_before_it_is_ready_is_replaced_by_agents_that_start_by_themselves(covey: Covey) -> None:
     (covey.folder / "sitecustomize.py").write_text(SLOW.replace("time.sleep(6.0)", "sys.exit('no room')"))
     process = covey.start(*SHORT, "--team", "A3", "--json", variables={"PYTHONPATH": f"{covey.folder}:{ROOT}"})

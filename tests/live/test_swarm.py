@@ -36,7 +36,8 @@ def test_a_live_swarm_that_searches_and_tracks_follows_the_simulation_to_the_las
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("recorded", "seconds"), [pytest.param("students03", 6.0, marks=pytest.mark.nightly), ("solent", 60.0)])
+@pytest.mark.nightly
+@pytest.mark.parametrize(("recorded", "seconds"), [("students03", 6.0), ("solent", 60.0)])
 def test_live_swarms_over_recorded_people_and_ships_follow_the_simulation_to_the_last_bit(
     covey: Covey, recorded: str, seconds: float
 ) -> None:
@@ -46,6 +47,7 @@ def test_live_swarms_over_recorded_people_and_ships_follow_the_simulation_to_the
 
 
 @pytest.mark.slow
+@pytest.mark.nightly
 def test_a_live_swarm_of_gaussian_mixtures_follows_the_simulation_to_the_last_bit(covey: Covey) -> None:
     words = ("--team", "A2,B2", "--seconds", "10", "--seed", "3", "--set", "filter.kind=gaussian-mixture", *PATIENT)
     result = covey.result("up", "quick", "--lockstep", *words)

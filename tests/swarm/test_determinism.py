@@ -73,6 +73,7 @@ def test_compiled_loops_change_nothing() -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.nightly
 def test_the_order_of_hashes_changes_nothing() -> None:
     program = "from tests.swarm.test_determinism import transcript; from agents.backend import PLAIN; print(transcript(backend=PLAIN))"
     seen = set()
