@@ -76,7 +76,7 @@ def study(
     scheduler
         Address of a dask.distributed scheduler, such as tcp://host:8786: its workers run the trials.
     json
-        The last line of standard output is the table as one JSON object.
+        The last line of standard output is the table as one JSON object, with the comparisons on the same seeds in `pairs`.
     """
     from deploy.installation import need_study_packages
 
