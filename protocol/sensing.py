@@ -1,7 +1,7 @@
 """The sensing contract and the sensors of the paper.
 
-A *sensor model* is any hashable object with `reach`, `area`, `probability` and `footprint` (`SensorModel`). A *pose* is (x m, y m, heading rad). A peer announces a wedge
-sensor on the wire by its numbers. A scenario names other models as `module:Class`.
+A *sensor model* is any hashable object with `reach`, `area`, `probability` and `footprint` (`SensorModel`). A *pose* is (x m, y m,
+heading rad). A peer announces a wedge sensor on the wire by its numbers. A scenario names other models as `module:Class`.
 """
 
 import math
