@@ -10,6 +10,7 @@ import importlib.util
 import os
 import platform
 import sys
+from collections.abc import Sequence
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -73,7 +74,13 @@ def need_packages(what: str, packages: tuple[str, ...], extra: str) -> None:
     if launcher and extra not in os.environ.get("COVEY_EXTRAS", "").split():
         sys.stdout.flush()
         os.execve(launcher, [launcher, *sys.argv[1:]], {**os.environ, "COVEY_EXTRAS": extra})
-    raise BadSetting(f"{what}: needs {' and '.join(missing)}: python -m pip install {' '.join(missing)}, or install covey[{extra}]")
+    raise BadSetting(f"{what}: needs {' and '.join(missing)}: {how_to_install(missing, extra)}")
+
+
+def how_to_install(packages: Sequence[str], extra: str) -> str:
+    """What to type for packages of an extra. No index has the package covey."""
+    elsewhere = f"elsewhere python -m pip install {' '.join(packages)}, or the wheel file with its extra [{extra}]"
+    return f"in a checkout COVEY_EXTRAS={extra} ./covey version; {elsewhere}"
 
 
 def _is_there(package: str) -> bool:

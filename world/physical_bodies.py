@@ -64,7 +64,8 @@ def load_mujoco() -> Any:
     try:
         import mujoco
     except ImportError as error:
-        how = "python -m pip install 'mujoco>=3.3,<4', or install covey[mujoco]"
+        elsewhere = "python -m pip install 'mujoco>=3.3,<4', or the wheel file with its extra [mujoco]"
+        how = f"in a checkout COVEY_EXTRAS=mujoco ./covey version; elsewhere {elsewhere}"
         raise BadSetting(f"bodies.model = 'mujoco': needs the package mujoco ({error}): {how}") from None
     return mujoco
 

@@ -71,7 +71,7 @@ class Browser:
 @contextmanager
 def browser(url: str) -> Iterator[Browser]:
     """Chromium with a page open. As root it would raise its own priority, so it runs as the user nobody then."""
-    from playwright.sync_api import sync_playwright  # an extra: `pip install covey[test]`
+    from playwright.sync_api import sync_playwright  # of the extra `test`
 
     program = next((found for name in NAMES if (found := shutil.which(name))), None)
     if program is None:

@@ -26,7 +26,8 @@ def main() -> None:
         from deploy.bridge.bridge import run
         from deploy.bridge.settings import BridgeOptions, Wrong
     except ModuleNotFoundError as error:
-        sys.exit(f"bridge: needs {error.name}: python -m pip install rosbags, or install covey[ros]")
+        elsewhere = "elsewhere python -m pip install rosbags, or the wheel file with its extra [ros]"
+        sys.exit(f"bridge: needs {error.name}: in a checkout COVEY_EXTRAS=ros ./covey version; {elsewhere}")
     try:
         code = run(BridgeOptions(words.config, words.agent, words.router, words.domain, words.offset, tuple(words.origin), words.keep))
     except Wrong as error:

@@ -1,6 +1,6 @@
 """A recording as a file that the Rerun viewer draws: the arena from above, the scores as curves, the time line as a log.
 
-Rerun is optional (`pip install 'covey[rerun]'`). Its time line `world` is the world's time; x east, y north, z up, in m.
+Rerun is the extra `rerun`. Its time line `world` is the world's time; x east, y north, z up, in m.
 """
 
 import importlib.util
@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from deploy.installation import how_to_install
 from deploy.page.picture import Picture
 from deploy.recording.moments import colour_of, moments
 from deploy.recording.recording import Recording
@@ -27,7 +28,7 @@ WARNINGS = ("lost", "twin", "silent", "paused", "partition", "links")
 def write_rerun(recording: Recording, path: Path) -> int:
     """Write the drawing; returns the number of ticks. Raises BadSetting where Rerun is not installed, OSError."""
     if importlib.util.find_spec("rerun") is None:
-        raise BadSetting("--to rerun: needs the package rerun-sdk; pip install 'covey[rerun]', or pip install rerun-sdk")
+        raise BadSetting("--to rerun: needs the package rerun-sdk: " + how_to_install(["rerun-sdk"], "rerun"))
     import rerun
 
     path.open("wb").close()  # Rerun itself only logs that it cannot write

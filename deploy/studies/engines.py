@@ -14,6 +14,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, Protocol
 
+from deploy.installation import how_to_install
 from deploy.scenario import Scenario
 from deploy.studies.trials import Row, run_trial
 from protocol.process import die_with_parent
@@ -115,7 +116,7 @@ def on_a_cluster(trials: Sequence[Numbered], address: str, play: Play = run_tria
     try:
         from distributed import Client
     except ImportError:
-        raise BadSetting(f"--scheduler {address}: needs dask.distributed; install covey[cluster]") from None
+        raise BadSetting(f"--scheduler {address}: needs distributed: {how_to_install(['distributed'], 'cluster')}") from None
     try:
         client = Client(address, timeout="10s", set_as_default=False)
     except (OSError, ValueError, TimeoutError) as error:

@@ -31,8 +31,9 @@ def run(folder: Path, *words: str, **environment: str) -> "subprocess.CompletedP
 )
 def test_what_needs_the_packages_says_so_at_once(tmp_path: Path, words: tuple[str, ...], what: str) -> None:
     done = run(tmp_path, *words)
-    line = f"covey: {what}: needs matplotlib and pyarrow: python -m pip install matplotlib pyarrow, or install covey[study]\n"
-    assert (done.returncode, done.stderr) == (2, line)
+    checkout = "in a checkout COVEY_EXTRAS=study ./covey version"
+    elsewhere = "elsewhere python -m pip install matplotlib pyarrow, or the wheel file with its extra [study]"
+    assert (done.returncode, done.stderr) == (2, f"covey: {what}: needs matplotlib and pyarrow: {checkout}; {elsewhere}\n")
 
 
 def test_under_the_launcher_the_same_command_is_started_again_with_the_extra_and_only_once(tmp_path: Path) -> None:
