@@ -15,7 +15,7 @@ import msgspec
 
 from agents.agent import Agent
 from agents.backend import Backend
-from deploy.faults.faults import LINK_VERBS, REFUSED, Schedule, check_faults
+from deploy.faults.faults import LINK_VERBS, REFUSED, Action, Schedule, check_faults
 from deploy.faults.injector import Build, Injector
 from deploy.faults.links import Links
 from deploy.oracle import Oracle, without_oracle
@@ -102,6 +102,7 @@ class Simulation:
         self.injector = Injector(self.bus, self.links, given, backend or compiled(), build)
         self.is_stopped = False  # where it is set, `run` ends before the next event
         self.on_truth: Callable[[Truth], None] = lambda truth: None  # called with every new tick, after the faults of the tick
+        self.on_refused: Callable[[BadSetting], None] = _give_up  # called with a fault of the scenario that cannot be carried out
         self._schedule = Schedule(scenario.run.seed, scenario.faults)
         self._started = time.perf_counter()
         self.scorer.on_truth = self._tick
@@ -155,14 +156,24 @@ class Simulation:
     def _tick(self, truth: Truth) -> None:
         alive, dead = self.injector.alive(), self.injector.dead()
         for action in self._schedule.due(truth.time, alive, dead, [*alive, *dead, *world_names(self.scenario)]):
-            if action.verb == REFUSED:
-                raise BadSetting(action.options["why"])
-            if action.verb in ("pause", "resume") or self.scorer.deaths.paused.intersection(action.names):
-                self.scorer.note_fault(action.verb, f"{action.verb} {', '.join(action.names)}", ",".join(action.names), self.bus.now)
-            self.injector.strike(action)
-            if action.verb in LINK_VERBS:
-                self.scorer.note_fault(action.verb, self.links.describe(action), sides=self.links.sides(alive))
+            try:
+                self._carry_out(action, alive)
+            except BadSetting as refused:
+                self.on_refused(refused)
         self.on_truth(truth)
+
+    def _carry_out(self, action: Action, alive: list[str]) -> None:
+        if action.verb == REFUSED:
+            raise BadSetting(action.options["why"])
+        if action.verb in ("pause", "resume") or self.scorer.deaths.paused.intersection(action.names):
+            self.scorer.note_fault(action.verb, f"{action.verb} {', '.join(action.names)}", ",".join(action.names), self.bus.now)
+        self.injector.strike(action)
+        if action.verb in LINK_VERBS:
+            self.scorer.note_fault(action.verb, self.links.describe(action), sides=self.links.sides(alive))
+
+
+def _give_up(refused: BadSetting) -> None:
+    raise refused
 
 
 def simulate(scenario: Scenario, *, progress: Callable[[int, int], None] | None = None) -> Result:

@@ -28,6 +28,7 @@ class SimulatedSwarm:
         self.picture = Picture(self.simulation.scenario)
         self.simulation.scorer.on_event = self.picture.see
         self.simulation.scorer.on_fault = self.picture.note_fault
+        self.simulation.on_refused = self._note_refusal
 
     @property
     def tick(self) -> int:
@@ -45,13 +46,16 @@ class SimulatedSwarm:
         return self.scores[-2] if len(self.scores) > 1 else None
 
     def play(self, tick: int) -> None:
-        """Go on until the world has come to a tick, or to its end. A scheduled fault that finds too few agents is noted and left out."""
+        """Go on until the world has come to a tick, or to its end. What is refused on the way is noted and left out."""
         goes_on = True
         while goes_on and self.tick < tick:
             try:
                 goes_on = self.simulation.bus.step()
             except BadSetting as refused:
-                self.picture.note("told", "", f"{self.name}: {refused}")
+                self._note_refusal(refused)
+
+    def _note_refusal(self, refused: BadSetting) -> None:
+        self.picture.note("told", "", f"{self.name}: {refused}")
 
     def strike(self, verb: str, who: str) -> None:
         """Kill an agent, or start it again."""

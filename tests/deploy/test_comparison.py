@@ -235,13 +235,16 @@ def test_the_page_draws_the_tick_of_its_figures_where_ticks_are_long() -> None:
     assert source.picture.shown is not None and source.picture.shown.tick == 2
 
 
-def test_a_scheduled_fault_that_finds_too_few_agents_is_noted_and_the_swarm_goes_on() -> None:
-    """Four of six are killed by hand before three are to die at mid-run."""
-    swarm = SimulatedSwarm("power", with_deaths(resolve("quick", {"run.seconds": 10.0})))
+def test_a_scheduled_fault_that_finds_too_few_agents_is_noted_and_the_swarm_goes_on_with_the_next_of_the_tick() -> None:
+    """Four of six are killed by hand before three are to die at mid-run, and one more."""
+    scenario = with_deaths(resolve("quick", {"run.seconds": 10.0}))
+    (deaths,) = scenario.faults
+    swarm = SimulatedSwarm("power", msgspec.structs.replace(scenario, faults=(deaths, msgspec.structs.replace(deaths, who="s6"))))
     swarm.play(5)
     for name in ("s1", "s2", "s3", "s4"):
         swarm.strike("kill", name)
     swarm.play(30)
     assert swarm.tick == 30
+    assert list(swarm.simulation.scorer.alive()) == ["s5"]
     assert "power: faults[0].who = '3': only 2 agents qualify" in [one.text for one in swarm.picture.happenings]
     assert [score.tick for score in swarm.scores] == list(range(len(swarm.scores)))
