@@ -1,12 +1,11 @@
 """The table and the figure of the ablation: the parts of the OSPA of each method, a panel for each team."""
 
-import csv
 from collections.abc import Sequence
 from pathlib import Path
 
 from matplotlib.axes import Axes
 
-from deploy.plots.study_figures import STYLE, _write, plt
+from deploy.plots.study_figures import STYLE, _write, plt, write_table
 from deploy.studies.ablation import PARTS, MethodSummary
 from deploy.studies.design import OPEN_TEAMS
 
@@ -17,12 +16,10 @@ COLUMNS = 4  # panels side by side
 
 def write(lines: Sequence[MethodSummary], into: Path) -> list[Path]:
     """Write ablation.csv and the figure; the paths."""
-    path, heads = into / "ablation.csv", [f"{score}_{part}" for score in ("ospa", "gospa") for part in PARTS]
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(["team", "targets", "method", "seeds", "ospa", "gospa", *heads, "gain", "low", "high"])
-        writer.writerows([*line.group, *line[1:5], *line.parts, *line.gospa_parts, *line[7:]] for line in lines)
-    return [path, *draw(lines, into / "ablation")]
+    heads = [f"{score}_{part}" for score in ("ospa", "gospa") for part in PARTS]
+    head = ["team", "targets", "method", "seeds", "ospa", "gospa", *heads, "gain", "low", "high"]
+    rows = ([*line.group, *line[1:5], *line.parts, *line.gospa_parts, *line[7:]] for line in lines)
+    return [write_table(into / "ablation.csv", head, rows), *draw(lines, into / "ablation")]
 
 
 def draw(lines: Sequence[MethodSummary], stem: Path) -> list[Path]:

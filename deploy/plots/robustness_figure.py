@@ -5,16 +5,14 @@ panel that says how much of the swarm can die, and one for each kind of fault wi
 Lines are medians over the seeds, bands lie between the quartiles.
 """
 
-import csv
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from string import ascii_lowercase
-from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 
-from deploy.plots.study_figures import STYLE, _write, plt
+from deploy.plots.study_figures import STYLE, _write, plt, write_table
 from deploy.studies.robustness import NONE, Row, curve, summary, table
 
 SHOWN: dict[str, tuple[float, ...]] = {  # as curves
@@ -52,19 +50,11 @@ def write(rows: Sequence[Row], into: Path) -> list[Path]:
     lines = table(rows)
     points = [[*(row[name] for name in ("kind", "level", "seed")), *pair] for row in rows for pair in zip(row["times"], row["ospa"])]
     paths = [
-        _csv(into / "curves.csv", ["kind", "level", "seed", "time", "ospa"], points),
-        _csv(into / "bouts.csv", list(lines[0]), [list(one.values()) for one in lines]),
-        _csv(into / "robustness.csv", list(summary(lines)[0]), [list(one.values()) for one in summary(lines)]),
+        write_table(into / "curves.csv", ["kind", "level", "seed", "time", "ospa"], points),
+        write_table(into / "bouts.csv", list(lines[0]), [list(one.values()) for one in lines]),
+        write_table(into / "robustness.csv", list(summary(lines)[0]), [list(one.values()) for one in summary(lines)]),
     ]
     return [*paths, *draw(rows, into / "robustness")]
-
-
-def _csv(path: Path, head: list[str], lines: Iterable[list[Any]]) -> Path:
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(head)
-        writer.writerows(lines)
-    return path
 
 
 def draw(rows: Sequence[Row], stem: Path) -> list[Path]:

@@ -4,8 +4,9 @@ Figure 4 of the paper has a panel for each number of targets and a group of boxe
 heterogeneity. Every figure is written as PDF and PNG.
 """
 
+import csv
 import itertools
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,7 @@ from matplotlib.patches import Patch
 
 from agents.coverage.capacity import detecting_capability, power_radius
 from deploy.scenario import TeamSettings, team_counts
+from deploy.storage.whole_file import whole_file
 from deploy.studies.paired import Comparison, Group, compare, groups_of, values
 from deploy.studies.trials import Row, methods_of
 from protocol.sensing import SENSOR_CLASSES
@@ -67,6 +69,15 @@ def _write(figure: Figure, stem: Path) -> list[Path]:
     figure.savefig(paths[1], metadata={"Software": None})
     plt.close(figure)
     return paths
+
+
+def write_table(path: Path, head: Sequence[str], lines: Iterable[Sequence[Any]]) -> Path:
+    """Write a table of a study as CSV, whole or not at all; the path."""
+    with whole_file(path) as new, new.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(head)
+        writer.writerows(lines)
+    return path
 
 
 def boxes(rows: Sequence[Row], methods: Sequence[str]) -> Figure:

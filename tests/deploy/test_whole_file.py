@@ -39,6 +39,14 @@ async def listen(folder: Path) -> None:
         await server.close()
 
 
+def write_study_table(file: Path) -> None:
+    pytest.importorskip("matplotlib")
+    from deploy.plots.study_figures import write_table
+
+    write_table(file, ["team", "ospa"], [["1", 0.5]])
+    assert file.read_text() == "team,ospa\n1,0.5\n"
+
+
 WRITERS: dict[str, Callable[[Path, Played], object]] = {
     "scores.csv": lambda file, run: write_scores(file, run[0].scorer.scores),
     "trace.csv": lambda file, run: run[1].write(file, run[0].result()),
@@ -46,6 +54,7 @@ WRITERS: dict[str, Callable[[Path, Played], object]] = {
     "trace.parquet": lambda file, run: run[1].write(file, run[0].result()),
     "targets.csv": lambda file, run: write_tables(run[2], file.parent, "csv"),
     "targets.parquet": lambda file, run: write_tables(run[2], file.parent, "parquet"),
+    "ablation.csv": lambda file, run: write_study_table(file),
     "seqinfo.ini": lambda file, run: write_mot(run[2], file.parent),
     "run.toml": lambda file, run: RunDirectory("one").write_config(run[0].scenario),
     "agents.toml": lambda file, run: RunDirectory("one").write_config(run[0].scenario),
