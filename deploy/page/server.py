@@ -235,7 +235,9 @@ class PageServer:
                         await client.socket.send_bytes(data)
                 self.figures.dropped += client.dropped
                 client.dropped = 0
-        except (ConnectionError, TimeoutError):
+        except Exception as error:
+            if not isinstance(error, ConnectionError | TimeoutError):
+                log.exception("a browser could not be shown anything, and is let go; it asks again by itself")
             await client.socket.close()
 
     def _greeting(self) -> str:

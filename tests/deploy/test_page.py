@@ -137,6 +137,28 @@ def test_a_jump_of_the_source_greets_everybody_again() -> None:
     asyncio.run(scene())
 
 
+def test_a_browser_that_cannot_be_greeted_is_let_go_with_a_line_and_another_one_later_is_served(caplog: pytest.LogCaptureFixture) -> None:
+    class Broken(Played):
+        is_broken = True
+
+        def about(self, may_act: bool) -> dict[str, Any]:
+            if self.is_broken:
+                raise ZeroDivisionError("in a footprint")
+            return super().about(may_act)
+
+    async def scene() -> None:
+        source = Broken()
+        async with served(source) as (_, url, session):
+            async with session.ws_connect(f"{url}ws") as ws:
+                assert (await ws.receive(timeout=20.0)).type == aiohttp.WSMsgType.CLOSE
+            assert "ZeroDivisionError: in a footprint" in caplog.text
+            source.is_broken = False
+            async with session.ws_connect(f"{url}ws") as ws:
+                assert (await ws.receive_json(timeout=20.0))["type"] == "hello"
+
+    asyncio.run(scene())
+
+
 def test_a_browser_that_takes_nothing_has_one_frame_waiting_and_counts_the_others() -> None:
     client = Client(None, asyncio.Event())  # type: ignore[arg-type]
     for number in range(5):
