@@ -180,8 +180,8 @@ def write_animation(recording: Recording, folder: Path, progress: Callable[[int,
         axes = figure.subplots()
         writer = animation.FFMpegWriter(FRAMES_PER_SECOND) if with_film else SmallGif(FRAMES_PER_SECOND)
         with writer.saving(figure, str(file), dpi=FILM_DPI):
-            for picture, truth in moments(recording):
-                if truth.tick % every == 0:
+            for number, (picture, truth) in enumerate(moments(recording)):  # a recording may begin late
+                if number % every == 0:
                     axes.clear()
                     draw_moment(axes, picture)
                     axes.set_title(f"t = {truth.time:.1f} s")

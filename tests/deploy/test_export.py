@@ -252,6 +252,16 @@ def test_a_moving_picture_has_a_frame_for_every_half_second(run: Run, tmp_path: 
         assert (file.suffix, image.n_frames) == (".gif", 10)  # type: ignore[attr-defined]
 
 
+def test_a_moving_picture_of_a_recording_of_one_odd_tick_has_a_frame(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("shutil.which", lambda name: None)
+    recorder = open_recorder(tmp_path / "a.mcap", resolve("quick", {}), virtual=True)
+    truth = Truth(sender="world", incarnation=1, tick=31, time=7.75)
+    recorder.see(received(truth, payloads=(codec.encode(truth),)), 7.75)
+    recorder.close()
+    with Image.open(write_animation(Recording(tmp_path / "a.mcap"), tmp_path)) as image:
+        assert getattr(image, "n_frames", 1) == 1
+
+
 @pytest.mark.slow
 def test_a_moving_picture_of_a_run_that_was_ended_early_is_of_its_own_ticks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("shutil.which", lambda name: None)
