@@ -24,6 +24,7 @@ from deploy.plots.run_figures import ESTIMATE, GONE, MUTED, STYLE
 from deploy.recording.moments import moments
 from deploy.recording.recording import Recording
 from deploy.scenario import Scenario
+from protocol.geometry import rectangle
 from protocol.messages import Gossip
 from protocol.observer_messages import Estimate
 from protocol.sensing import SENSOR_CLASSES, SensorModel
@@ -128,9 +129,10 @@ def diagram_figure(moment: SeenAgents, scenario: Scenario) -> Figure:
     living = [seen for seen in moment.values() if seen.alive]
     points = np.array([seen.estimate.cod for seen in living])
     radii = np.array([seen.estimate.power_radius for seen in living])
+    arena = rectangle(scenario.arena.width, scenario.arena.height)
     for axes, used, title in zip(figure.subplots(1, 2), (np.zeros(len(radii)), radii), ("Voronoi: all weights are 0", "power diagram")):
         for index, seen in enumerate(living):
-            _cell(axes, power_cell(index, points, used, _arena(scenario)), seen.colour)
+            _cell(axes, power_cell(index, points, used, arena), seen.colour)
             axes.plot(*points[index], "D", color=seen.colour, markersize=4.0)
             if used[index]:
                 axes.plot(*_circle(points[index], used[index]).T, "--", color=seen.colour, linewidth=0.7)
@@ -260,12 +262,6 @@ def _circle(centre: Sequence[float] | np.ndarray, radius: float) -> np.ndarray:
     """Points of a circle (N, 2), m."""
     turns = np.linspace(0.0, 2.0 * np.pi, 90)
     return np.array(centre) + radius * np.column_stack([np.cos(turns), np.sin(turns)])
-
-
-def _arena(scenario: Scenario) -> np.ndarray:
-    """The corners of the arena (4, 2), m, counter-clockwise."""
-    width, height = scenario.arena.width, scenario.arena.height
-    return np.array([[0.0, 0.0], [width, 0.0], [width, height], [0.0, height]])
 
 
 def _whole(axes: Axes, scenario: Scenario) -> None:

@@ -17,6 +17,7 @@ from deploy.recording.moments import colour_of, moments
 from deploy.recording.recording import Recording
 from deploy.scoring.scorer import Scorer
 from deploy.scoring.scores import COLUMNS
+from protocol.geometry import rectangle
 
 Json = dict[str, Any]
 SCENE_SCHEMA = Path(__file__).with_name("foxglove_scene.json")  # of the message that Foxglove knows by this name
@@ -55,7 +56,8 @@ def _say(writer: Writer, channel: int, time: float, data: Json) -> None:
 def scene(picture: Picture, time: float) -> Json:
     """The scene update of the tick that the picture shows."""
     stamp = dict(zip(("sec", "nsec"), divmod(round(1e9 * time), 10**9)))
-    entities = [_entity("arena", stamp, lines=[_outline(_arena(picture), (0.6, 0.65, 0.7, 1.0), 0.1)])]
+    arena = picture.scenario.arena
+    entities = [_entity("arena", stamp, lines=[_outline(rectangle(arena.width, arena.height), (0.6, 0.65, 0.7, 1.0), 0.1)])]
     gone = []
     for index, name in enumerate(picture.agents):
         known = picture.agents[name]
@@ -114,11 +116,6 @@ def _outline(points: np.ndarray, colour: tuple[float, ...], thickness: float) ->
 
 def _ball(place: np.ndarray, size: float, colour: tuple[float, ...]) -> Json:
     return {"pose": _still(place), "size": {"x": size, "y": size, "z": size}, "color": _named(colour)}
-
-
-def _arena(picture: Picture) -> np.ndarray:
-    width, height = picture.scenario.arena.width, picture.scenario.arena.height
-    return np.array([[0.0, 0.0], [width, 0.0], [width, height], [0.0, height]])
 
 
 def _point(place: Any) -> Json:

@@ -16,6 +16,7 @@ from deploy.recording.moments import colour_of, moments
 from deploy.recording.recording import Recording
 from deploy.scoring.scorer import Score, Scorer
 from deploy.scoring.scores import COLUMNS
+from protocol.geometry import rectangle
 from protocol.settings import BadSetting
 
 if TYPE_CHECKING:
@@ -56,10 +57,9 @@ def write_rerun(recording: Recording, path: Path) -> int:
 def _log_arena(stream: "RecordingStream", recording: Recording) -> None:
     import rerun
 
-    width, height = recording.scenario.arena.width, recording.scenario.arena.height
-    border = np.array([[0.0, 0.0], [width, 0.0], [width, height], [0.0, height]])
+    arena = recording.scenario.arena
     stream.log("arena", rerun.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
-    stream.log("arena/border", rerun.LineStrips3D([_ring(border)], colors=[GONE]), static=True)
+    stream.log("arena/border", rerun.LineStrips3D([_ring(rectangle(arena.width, arena.height))], colors=[GONE]), static=True)
 
 
 def _log_bodies(stream: "RecordingStream", picture: Picture) -> None:
