@@ -4,6 +4,7 @@ The pictures are of one tick: the last one before the first death, or the middle
 its agent believed in a target and had the longest way. The agent that is drawn large is the one that dies, or the first one.
 """
 
+import itertools
 import math
 from collections.abc import Sequence
 from pathlib import Path
@@ -27,10 +28,11 @@ from deploy.scenario import Scenario
 from protocol.geometry import rectangle
 from protocol.messages import Gossip
 from protocol.observer_messages import Estimate
-from protocol.sensing import SENSOR_CLASSES, SensorModel
-from protocol.settings import BadSetting
+from protocol.sensing import SENSOR_CLASSES, SensorModel, WedgeSensor
+from protocol.settings import BadSetting, sensor_of
 
 LATER = 8  # ticks after the death, in its last panel
+COLUMNS = 4  # of footprints
 MODES = ("literal", "expected", "saturating", "static")
 
 
@@ -77,7 +79,7 @@ def write_figures(recording: Recording, folder: Path) -> list[Path]:
     moment = all_moments[at]
     with matplotlib.rc_context(STYLE):
         figures = {
-            "footprints": footprints_figure(),
+            "footprints": footprints_figure(scenario),
             "cod": cod_figure(moment[name]),
             "power-cells": diagram_figure(moment, scenario),
             "unused-capacity": capacity_figure(moment[name].sensor),
@@ -95,16 +97,28 @@ def write_figures(recording: Recording, folder: Path) -> list[Path]:
     return files
 
 
-def footprints_figure() -> Figure:
-    """The footprints of the paper's sensor classes (Figure 2 and Table I), on one scale."""
-    figure = Figure(figsize=(7.6, 4.6), layout="constrained")
-    reach = max(sensor.reach for sensor in SENSOR_CLASSES.values())
-    for axes, colour, (name, sensor) in zip(figure.subplots(2, 4, sharex=True, sharey=True).flat, MUTED, SENSOR_CLASSES.items()):
+def footprints_figure(scenario: Scenario) -> Figure:
+    """The footprints of the classes that a scenario knows, on one scale: of Table I (Figure 2), as it has changed them, and its own."""
+    sensors = {name: sensor_of(scenario, name) for name in dict.fromkeys([*SENSOR_CLASSES, *scenario.sensors])}
+    rows = math.ceil(len(sensors) / COLUMNS)
+    figure = Figure(figsize=(7.6, 2.3 * rows), layout="constrained")
+    reach = max(sensor.reach for sensor in sensors.values())
+    panels = figure.subplots(rows, COLUMNS, sharex=True, sharey=True).flat
+    for (name, sensor), colour, axes in zip(sensors.items(), itertools.cycle(MUTED), panels):
         axes.fill(*sensor.footprint((0.0, 0.0, 0.5 * math.pi)).T, facecolor=colour, alpha=0.4, edgecolor=colour)
         axes.plot(0.0, 0.0, "s", color="#111111", markersize=4.0)
-        axes.set_title(f"{name}: {math.degrees(sensor.angle):.0f}°, {sensor.radius:g} m, p_d {sensor.prob_detection:g}")
+        axes.set_title(f"{name}: {_facts(sensor)}")
         _square(axes, np.full(2, -reach), np.full(2, reach))
+    for axes in panels:
+        axes.set_axis_off()
     return figure
+
+
+def _facts(sensor: SensorModel) -> str:
+    """What tells a sensor from others."""
+    if isinstance(sensor, WedgeSensor):
+        return f"{math.degrees(sensor.angle):.0f}°, {sensor.radius:g} m, p_d {sensor.prob_detection:g}"
+    return f"reach {sensor.reach:g} m, {sensor.area:.0f} m²"
 
 
 def cod_figure(seen: SeenAgent) -> Figure:

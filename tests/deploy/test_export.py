@@ -242,6 +242,17 @@ def test_the_pictures_of_the_method_are_of_the_tick_before_the_first_death(run: 
     assert areas[11] == pytest.approx(625.0) and areas[12] < 624.0 and areas[13] == pytest.approx(625.0)  # the hole is drawn, and its end
 
 
+def test_the_footprints_are_those_of_the_scenario() -> None:
+    def titles(**settings: object) -> list[str]:
+        return [axes.get_title() for axes in method_figures.footprints_figure(resolve("quick", settings)).axes if axes.axison]
+
+    paper = titles()
+    assert len(paper) == 8 and paper[0] == "A: 240°, 8 m, p_d 0.99"
+    falling = {"angle": 120.0, "radius": 14.0, "scale": 9.0, "peak": 0.98}
+    own = {"sensors.A.radius": 12.0, "sensors.Z.model": "covey.examples.sensors:RangeFalling", "sensors.Z.parameters": falling}
+    assert titles(**own) == ["A: 240°, 12 m, p_d 0.99", *paper[1:], "Z: reach 14 m, 205 m²"]
+
+
 @pytest.mark.slow
 def test_a_moving_picture_has_a_frame_for_every_half_second(run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("shutil.which", lambda name: None)  # as where there is no ffmpeg
