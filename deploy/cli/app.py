@@ -14,6 +14,12 @@ RUN, ACT, LOOK, KEEP, STUDY, SET_UP = (
 
 Options = Annotated[RunOptions, Parameter(name="*")]
 RunName = Annotated[str | None, Parameter(help="Name of the run; default: the newest that is running.", completer=completion.runs)]
+SwarmName = Annotated[
+    str | None,
+    Parameter(
+        help="Name of the run, or the run.toml of a swarm elsewhere; default: the newest that is running.", completer=completion.runs
+    ),
+]
 ScenarioName = Annotated[str, Parameter(help="A shipped scenario, or a TOML file.", completer=completion.scenarios)]
 RecordingName = Annotated[str, Parameter(help="Name of a run, its folder, or an .mcap file.", completer=completion.recordings)]
 AgentChoice = Annotated[

@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
-from deploy.cli.app import ACT, AgentChoice, RandomCount, RunName, app
+from deploy.cli.app import ACT, AgentChoice, RandomCount, RunName, SwarmName, app
 from deploy.cli.options import WHOLE
 
 
@@ -18,7 +18,7 @@ def down(*, run: RunName = None) -> int:
 
 
 @app.command(group=ACT, help_epilogue="Example: covey halt")
-def halt(*, run: RunName = None) -> int:
+def halt(*, run: SwarmName = None) -> int:
     """Make all bodies stand where they are until they are released.
 
     The swarm goes on tracking. Under TLS this takes the certificate of the operator. Exit code 1: some body still moves after 5 s.
@@ -29,7 +29,7 @@ def halt(*, run: RunName = None) -> int:
 
 
 @app.command(group=ACT, help_epilogue="Example: covey release")
-def release(*, run: RunName = None) -> int:
+def release(*, run: SwarmName = None) -> int:
     """Let bodies that were halted move again."""
     from deploy.cli.halt import say
 
@@ -100,7 +100,7 @@ def delay(seconds: float, /, *who: AgentChoice, jitter: float = 0.0, run: RunNam
 def bridge(
     *,
     agent: str,
-    run: RunName = None,
+    run: SwarmName = None,
     router: str = "tcp/127.0.0.1:7447",
     domain: Annotated[int | None, WHOLE] = None,
     offset: float = 0.0,

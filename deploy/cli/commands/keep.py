@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 from cyclopts import Parameter
 
 from deploy.cli import completion
-from deploy.cli.app import KEEP, PageAddress, RecordingName, RunName, app
+from deploy.cli.app import KEEP, PageAddress, RecordingName, SwarmName, app
 from deploy.cli.options import FLAG
 
 
@@ -39,7 +39,7 @@ def rm(
 
 
 @app.command(group=KEEP, help_epilogue="Example: covey record hunt.mcap")
-def record(file: Path | None = None, /, *, run: RunName = None) -> int:
+def record(file: Path | None = None, /, *, run: SwarmName = None) -> int:
     """Record a running swarm from outside.
 
     Until Ctrl-C or its end; without a file into its run directory.

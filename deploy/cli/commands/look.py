@@ -5,7 +5,7 @@ from typing import Annotated
 from cyclopts import Parameter
 
 from deploy.cli import completion
-from deploy.cli.app import LOOK, PageAddress, RunName, app
+from deploy.cli.app import LOOK, PageAddress, RunName, SwarmName, app
 from deploy.cli.options import FLAG, WHOLE
 
 
@@ -23,10 +23,11 @@ def ps(
 
 
 @app.command(group=LOOK, help_epilogue="Example: covey watch\n         covey watch --page 9000")
-def watch(*, page: PageAddress = False, run: RunName = None) -> int:
+def watch(*, page: PageAddress = False, run: SwarmName = None) -> int:
     """A live map and table of a running swarm; with --page in the browser.
 
-    Keys: the arrows choose a process, k kills it, p pauses it or lets it go on, r restarts it, q quits.
+    Keys: the arrows choose a process, k kills it, p pauses it or lets it go on, r restarts it, q quits. A swarm
+    elsewhere is shown with --page alone.
     """
     from deploy.cli import listen, watch
 
@@ -51,7 +52,7 @@ def logs(
 
 
 @app.command(group=LOOK, help_epilogue="Example: covey echo 'estimate/*' --count 3")
-def echo(key: str = "**", /, *, count: Annotated[int | None, WHOLE] = None, run: RunName = None) -> int:
+def echo(key: str = "**", /, *, count: Annotated[int | None, WHOLE] = None, run: SwarmName = None) -> int:
     """What is said under a key; unknown messages raw.
 
     Key: truth, estimate/s3, 'gossip/*', or any key expression.
@@ -62,7 +63,7 @@ def echo(key: str = "**", /, *, count: Annotated[int | None, WHOLE] = None, run:
 
 
 @app.command(group=LOOK, help_epilogue="Example: covey hz 'gossip/*' --seconds 5")
-def hz(key: str = "**", /, *, seconds: float | None = None, run: RunName = None) -> int:
+def hz(key: str = "**", /, *, seconds: float | None = None, run: SwarmName = None) -> int:
     """How often and how much is said under a key."""
     from deploy.cli import listen
 
@@ -70,7 +71,7 @@ def hz(key: str = "**", /, *, seconds: float | None = None, run: RunName = None)
 
 
 @app.command(group=LOOK, help_epilogue="Example: covey ls")
-def ls(*, seconds: float = 2.0, run: RunName = None) -> int:
+def ls(*, seconds: float = 2.0, run: SwarmName = None) -> int:
     """Who is there, and every key under which something is said."""
     from deploy.cli import listen
 
