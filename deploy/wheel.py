@@ -1,8 +1,8 @@
 """How a wheel is built: the rooms go below one package, `covey`, and their imports are rewritten to say so.
 
 At the top of site-packages a folder `agents` belongs to another well-known package. In the checkout the rooms are top-level packages,
-and their imports say so: `from agents.tracking.phd import ...` is `from covey.agents.phd import ...` in a wheel. Only import statements
-change, and no line moves. setuptools loads this file when it builds (pyproject.toml, tool.setuptools.cmdclass).
+and their imports say so: `from agents.tracking.phd import ...` is `from covey.agents.tracking.phd import ...` in a wheel. Only import
+statements change, and no line moves. setuptools loads this file when it builds (pyproject.toml, tool.setuptools.cmdclass).
 """
 
 import ast

@@ -18,7 +18,7 @@ from protocol.sensing import Pose
 from protocol.settings import ArenaSettings, BadSetting, LimitSettings
 from world.config import BodySettings, WorldConfig
 
-ROOM = 0.1  # m around each body at the start
+CLEARANCE = 0.1  # m around each body at the start
 ATTEMPTS = 1000  # at a random start pose
 ERRORS = "position_error", "heading_error", "time_error"  # of [bodies]
 
@@ -39,7 +39,7 @@ def _random_pose(arena: ArenaSettings, numbers: np.random.Generator) -> Pose:
 
 def free_pose(name: str, config: WorldConfig, taken: Iterable[Pose]) -> Pose:
     """The start pose of a body that touches none of those that are there; the first of its random poses with room around it."""
-    apart, others = 2.0 * (config.limits.radius + ROOM), list(taken)
+    apart, others = 2.0 * (config.limits.radius + CLEARANCE), list(taken)
     for attempt in range(ATTEMPTS):
         if attempt:
             pose = _random_pose(config.arena, stream(config.run.seed, "start", random_key(name), attempt))
@@ -89,12 +89,12 @@ def check_given(config: WorldConfig) -> None:
             raise BadSetting(f"bodies.poses.{name}: is missing; start = 'given' needs [x, y, heading] for every member")
         if not all(-LARGEST_NUMBER <= number <= LARGEST_NUMBER for number in pose):
             raise BadSetting(f"bodies.poses.{name} = {list(pose)}: should be three finite numbers [x m, y m, heading rad]")
-    least = 2.0 * (config.limits.radius + ROOM)
+    least = 2.0 * (config.limits.radius + CLEARANCE)
     for one, other in combinations(config.members if config.limits.radius else (), 2):
         apart = math.dist(config.bodies.poses[one][:2], config.bodies.poses[other][:2])
         if apart < least:
             raise BadSetting(
-                f"bodies.poses.{one}: lies {apart:.2f} m from {other}; should be {least:g} m at least, twice limits.radius + {ROOM:g}"
+                f"bodies.poses.{one}: lies {apart:.2f} m from {other}; should be {least:g} m at least, twice limits.radius + {CLEARANCE:g}"
             )
 
 

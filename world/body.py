@@ -65,7 +65,7 @@ class Body(Node):
         self._clock = TickClock(self._period, epoch - unix if epoch else None)
         self._count = TickCount()
         self._watchdog = ListenerWatchdog(config.members)
-        self._bodies = Presence()  # of their tokens
+        self._body_tokens = Presence()
         self._alive: dict[str, set[str]] = {"agent": set(), "body": {name}}  # by role: names with a token
         self._others: dict[str, Pose] = {}  # where the other bodies said last that they are
         self._ring: tuple[str, ...] = ()  # the neighbours to whom the clock listens
@@ -197,7 +197,7 @@ class Body(Node):
         return self._end_of_wait(now) if self._waiting else []
 
     def _presence_of(self, event: Alive | Gone) -> Presence:
-        return self._bodies if event.role == "body" else self._presence
+        return self._body_tokens if event.role == "body" else self._presence
 
     def _listen_around(self) -> list[Effect]:
         """The effects that subscribe to the gossips of the neighbours in the ring of those who have agent and body."""

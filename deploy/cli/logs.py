@@ -52,13 +52,13 @@ def run_to_read(name: str | None) -> RunDirectory:
     if name is not None:
         directory = RunDirectory(name)
         if not directory.logs.is_dir():
-            known = ", ".join(run.name for run in kept_runs())
+            known = ", ".join(run.name for run in runs_with_logs())
             raise BadSetting(f"--run {name}: there is no such run in {runs_folder()}{f'; there are {known}' if known else ''}")
         if not _has_processes(directory):
             kind = "simulation" if directory.is_simulated() else "recording that is said again"
             raise BadSetting(f"--run {name}: it is a {kind}, which has no processes and no logs")
         return directory
-    found = list(filter(_has_processes, running_runs())) or list(filter(_has_processes, kept_runs()))
+    found = list(filter(_has_processes, running_runs())) or list(filter(_has_processes, runs_with_logs()))
     if not found:
         raise BadSetting(f"there is no run in {runs_folder()} that has processes; start one with `covey up`")
     return found[-1]
@@ -68,7 +68,7 @@ def _has_processes(directory: RunDirectory) -> bool:
     return not (directory.is_simulated() or directory.is_replayed())
 
 
-def kept_runs() -> list[RunDirectory]:
+def runs_with_logs() -> list[RunDirectory]:
     """All runs of this folder that have logs, running or not, the newest last."""
     found = [path for path in runs_folder().glob("*/logs") if path.is_dir() and not path.parent.is_symlink()]
     return [RunDirectory(path.parent.name) for path in sorted(found, key=lambda path: path.stat().st_mtime)]

@@ -9,7 +9,7 @@ from typing import Any
 from rich.table import Table
 
 from deploy.cli.display import process_table
-from deploy.cli.logs import LogTails, kept_runs
+from deploy.cli.logs import LogTails, runs_with_logs
 from deploy.cli.terminal import table_console
 from deploy.live.control import ControlClient
 from deploy.storage.run_directory import RunDirectory, find_running
@@ -35,7 +35,7 @@ def ps_all(run: str | None, as_json: bool) -> int:
     if run is not None:
         raise BadSetting(f"--run {run}: -a shows all runs; leave one of both out")
     data, silent, gone = [], [], []
-    for directory in kept_runs():
+    for directory in runs_with_logs():
         if not directory.is_running():
             gone.append(ended_run(directory))
             continue

@@ -18,7 +18,7 @@ from deploy.cli.template import template
 from deploy.installation import versions
 from deploy.scenario import ORACLE, Scenario, agent_config, check_certificates, recording_remarks, targets_in_words, toml_text, world_config
 from deploy.scoring.tick_rate import too_small
-from deploy.storage.run_directory import ROOM, runs_folder
+from deploy.storage.run_directory import LEAST_BYTES, runs_folder
 from protocol.settings import BadSetting, NetworkSettings
 from world.bodies import pose_warnings
 
@@ -70,7 +70,7 @@ def check_network_and_print(scenario: Scenario, name: str) -> int:
     return 1 if wrong else 0
 
 
-def complain(lines: list[str]) -> int:
+def print_mistakes(lines: list[str]) -> int:
     """Print all mistakes of a scenario; the exit code."""
     for line in lines:
         print(f"covey: {line}", file=sys.stderr)
@@ -111,7 +111,7 @@ def check(scenario: Scenario) -> int:
     folder = next(path for path in [runs_folder(), *runs_folder().parents] if path.exists())
     if not os.access(folder, os.W_OK) or not folder.is_dir():
         raise BadSetting(f"runs {runs_folder()}: cannot be written; COVEY_RUNS names another place")
-    if shutil.disk_usage(folder).free < ROOM:
+    if shutil.disk_usage(folder).free < LEAST_BYTES:
         raise BadSetting(f"runs {runs_folder()}: the disk is full; COVEY_RUNS names another place")
     print(f"runs       {runs_folder()}: writable")
     elsewhere = faults_without_effect(scenario), faults_on_links(scenario), faults_beyond_a_simulation(scenario)

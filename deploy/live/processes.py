@@ -33,7 +33,7 @@ class Child:
     """A process of the run under its name, through all its incarnations."""
 
     name: str
-    room: str  # agents or world
+    package: str  # agents or world: what it runs
     directory: RunDirectory
     arguments: list[str]  # endpoints, and the sensor of an agent
     incarnation: int = 0
@@ -83,9 +83,9 @@ class Child:
 
     def _fork(self, extra: Sequence[str]) -> None:
         """Let the zygote fork the process, or execute it; raises OSError when neither is possible."""
-        config = self.directory.agents if self.room == "agents" else self.directory.config
+        config = self.directory.agents if self.package == "agents" else self.directory.config
         halt = str(self.directory.log(self.name).with_suffix(".halt"))
-        halted = ["--keep-halt", halt] if self.room == "world" else []
+        halted = ["--keep-halt", halt] if self.package == "world" else []
         own = ["--body", self.body_of, "--keep", halt] if self.body_of else ["--name", self.name, *halted]
         words = [*own, "--config", str(config), "--supervised"]
         words += ["--incarnation", str(self.incarnation), *self.arguments, *extra]
@@ -95,7 +95,7 @@ class Child:
                 return
         with self.directory.log(self.name).open("ab") as log:
             self.process = subprocess.Popen(
-                [*command(self.room), *words],
+                [*command(self.package), *words],
                 cwd=ROOT,
                 env=child_environment(),
                 stdin=subprocess.PIPE,
@@ -203,8 +203,8 @@ def _message(line: str) -> str:
     return exception[-1] if exception else str(record.get("message", line))
 
 
-def rooms(scenario: Scenario) -> dict[str, str]:
-    """The processes of a run and the room that each is of."""
+def packages(scenario: Scenario) -> dict[str, str]:
+    """The processes of a run, and the package that each runs."""
     return {**dict.fromkeys(world_names(scenario), "world"), **dict.fromkeys(scenario.members, "agents")}
 
 

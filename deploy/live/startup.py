@@ -37,7 +37,7 @@ class Startup:
             if child.zygote is not None:
                 await self._prepare(child.zygote, tell)
             _start(child)
-            if child.room == "world":
+            if child.package == "world":
                 self.expect()
         heard, end = 0, time.monotonic() + HOLD
         while time.monotonic() < end and not self._are_heard(first):
@@ -64,7 +64,7 @@ class Startup:
         if self._scorer.truth is None:
             ended = {child.name for child in self._children if child.returncode is not None}
             for child in self._children:
-                if child.room == "world":
+                if child.package == "world":
                     child.tell(" ".join(name for name in self._members if name not in ended))
 
     def _are_heard(self, children: list[Child]) -> bool:

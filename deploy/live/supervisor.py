@@ -17,7 +17,7 @@ import numpy as np
 from deploy.faults.faults import LINK_VERBS, REFUSED, Action, Schedule, check_fault, check_faults, choose, plain_verb
 from deploy.faults.links import Links
 from deploy.live.control import Answer, ControlServer
-from deploy.live.processes import Child, State, process_rows, rooms
+from deploy.live.processes import Child, State, packages, process_rows
 from deploy.live.seeds import endpoints, seed_listeners
 from deploy.live.startup import Startup
 from deploy.live.zygote import Zygote
@@ -88,7 +88,7 @@ class Supervisor:
         self._advised = False
         self._attended = attended
         self._still_since: float | None = None  # when the world, or its last body, died
-        self.children = {name: Child(name, room, directory, self._words(name, seeds)) for name, room in rooms(scenario).items()}
+        self.children = {name: Child(name, package, directory, self._words(name, seeds)) for name, package in packages(scenario).items()}
         self._zygote = zygote
         for name in scenario.members:
             self.children[name].zygote = self._zygote
@@ -195,7 +195,7 @@ class Supervisor:
         Returns once the last tick is scored, or after `LAST_LOOKS` without a new one. Where the swarm runs on, only what is there counts.
         """
         scorer, seen, looks = self.scorer, self.scorer.truth, 0
-        runs_on = any(child.is_running for child in self.children.values() if child.room == "world")
+        runs_on = any(child.is_running for child in self.children.values() if child.package == "world")
         while looks < LAST_LOOKS and not scorer.is_up_to_date(whole=not runs_on):
             await asyncio.sleep(0.01)
             looks = looks + 1 if runs_on or scorer.truth is seen else 0
@@ -264,8 +264,8 @@ class Supervisor:
 
     def _on_death(self, child: Child) -> None:
         log.info("%s ended: %s", child.name, child.end(), extra={"tick": self.scorer.truth.tick if self.scorer.truth else None})
-        rest = [other for other in self.children.values() if child.room == other.room == "world" and other is not child]
-        was_last = child.room == "world" and not any(other.is_running or not other.has_started for other in rest)
+        rest = [other for other in self.children.values() if child.package == other.package == "world" and other is not child]
+        was_last = child.package == "world" and not any(other.is_running or not other.has_started for other in rest)
         if child.returncode == 0 and (was_last or child.body_of):
             if was_last:
                 self._end(0)
@@ -362,7 +362,7 @@ class Supervisor:
         verb, names = action.verb, action.names
         if verb in LINK_VERBS:
             return self._change_links(action)
-        for name in names:  # before anything is done, so that all is done or nothing
+        for name in names:  # before anything is done; a restart may still fail at one of several
             if not self.children[name].has_started:
                 raise BadSetting(f"{name} has not been started yet: the run still starts; try again in a second")
             if verb != "restart" and not self.children[name].is_running:
@@ -414,12 +414,12 @@ class Supervisor:
             if was_running and not child.is_running:
                 self._on_death(child)
             raise BadSetting(f"{child.name} could not be restarted: {error.strerror or error}") from None
-        if child.room == "world":
+        if child.package == "world":
             self._still_since = None
 
     def _replace(self, child: Child) -> None:
         """End a process if it runs, and start its next incarnation; raises OSError."""
-        truth = self.scorer.truth if child.room == "world" else None
+        truth = self.scorer.truth if child.package == "world" else None
         if truth is not None:
             write_whole(self.directory.truth, encode(truth))
         if child.process is not None:

@@ -3,13 +3,15 @@
     runs/<name>/run.toml       the resolved scenario, which the world and the watchers read
                 agents.toml    what an agent may know of it
                 versions.json  software, Python, machine
-                logs/          one file per process, JSON lines
+                logs/          one file per process, JSON lines; <name>.halt: the newest halt that a mover of bodies has taken
                 result.json    the result, once there is one
                 scores.csv     the scores of every tick, with the result
                 recording.mcap the recording, if one was asked for
                 lock           held by the supervisor or the simulation as long as the run runs
                 control.json   where the supervisor's control socket is
                 page           the address of the page, if there is one
+                truth.msgpack  the last Truth, after a restart of the world or of a body
+                up.log         the terminal output of a detached run
 
 `runs` lies in the current directory unless COVEY_RUNS names another place. How runs are named and kept: `deploy.storage.kept_runs`.
 """
@@ -33,7 +35,7 @@ from protocol.settings import BadSetting
 from protocol.whole_file import write_whole
 
 LATEST_LINK = "latest"  # the link to the run that began last
-ROOM = 16384  # bytes that a run needs at least, for its run.toml
+LEAST_BYTES = 16384  # on disk that a run needs, for its run.toml
 LONGEST_SOCKET = 107  # bytes of the path of a Unix socket
 LOCK_TRIES, LOCK_PAUSE = 10, 0.01  # and s between them, before a run counts as held by another process
 
@@ -89,7 +91,7 @@ class RunDirectory:
             self.page.unlink(missing_ok=True)
             shutil.rmtree(self.logs, ignore_errors=True)
             self.logs.mkdir()
-            self.config.write_bytes(bytes(ROOM))  # a full disk is known before anything starts
+            self.config.write_bytes(bytes(LEAST_BYTES))  # a full disk is known before anything starts
             self.config.unlink()
 
     def leave_unless_begun(self) -> None:

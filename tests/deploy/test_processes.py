@@ -157,15 +157,15 @@ def test_a_supervisor_that_would_listen_nowhere_or_at_two_places_is_refused(list
 
 
 @pytest.mark.parametrize(
-    ("name", "room", "option"), [("world", "world", "--keep-halt"), ("s2.body", "world", "--keep"), ("s2", "agents", "")]
+    ("name", "package", "option"), [("world", "world", "--keep-halt"), ("s2.body", "world", "--keep"), ("s2", "agents", "")]
 )
 def test_whoever_moves_bodies_keeps_the_halt_beside_its_log(
-    child: Child, monkeypatch: pytest.MonkeyPatch, name: str, room: str, option: str
+    child: Child, monkeypatch: pytest.MonkeyPatch, name: str, package: str, option: str
 ) -> None:
     told = list[list[str]]()
     monkeypatch.setattr(subprocess, "Popen", lambda words, **_: told.append(words))
     body_of = "s2" if name.endswith("body") else ""
-    Child(name, room, child.directory, [], body_of=body_of).start()
+    Child(name, package, child.directory, [], body_of=body_of).start()
     halts = [word for word in told[0] if word.endswith(".halt")]
     assert halts == ([str(child.directory.logs / f"{name}.halt")] if option else [])
     assert not option or told[0][told[0].index(halts[0]) - 1] == option

@@ -11,7 +11,7 @@ from protocol.messages import BodyPose, Observation
 from protocol.node import Alive, Gone, Started, Subscribe, Timer, received
 from protocol.settings import BadSetting, LimitSettings
 from tests.world.stage import config, hello, of_kind, started
-from world.bodies import ROOM, check_given, start_poses
+from world.bodies import CLEARANCE, check_given, start_poses
 from world.body import Body
 from world.config import BodySettings, WorldConfig
 from world.proximity import around, sight
@@ -82,7 +82,7 @@ def test_points_say_no_pose() -> None:
 def test_bodies_start_with_room_around_them_and_every_process_knows_where() -> None:
     crowd = world_config(resolve("quick", {"team.composition": "A20", "limits.radius": 0.8, "run.seed": 4}))
     poses = start_poses(crowd)
-    assert min(math.dist(one[:2], other[:2]) for one, other in combinations(poses.values(), 2)) >= 2.0 * (0.8 + ROOM)
+    assert min(math.dist(one[:2], other[:2]) for one, other in combinations(poses.values(), 2)) >= 2.0 * (0.8 + CLEARANCE)
     assert World(crowd, 1).bodies.poses == poses
     assert Witness(crowd, "monitor", 1, 4, 0.0)._poses == poses
     points = world_config(resolve("quick", {"team.composition": "A20", "run.seed": 4}))

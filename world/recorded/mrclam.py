@@ -36,7 +36,7 @@ class Sight(NamedTuple):
 
 
 class Tables(NamedTuple):
-    """The contents of a folder, times in s from the first pose."""
+    """The contents of a folder; times in s, of the original form from its first pose, of CSV files as they stand there."""
 
     poses: dict[int, list[tuple[float, float, float, float]]]  # of each robot: time, x, y, heading
     sights: list[Sight]

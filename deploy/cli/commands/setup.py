@@ -38,7 +38,7 @@ def check(
 
     wrong = options.mistakes(scenario, agents_too=network)
     if wrong:
-        return scenario_file.complain(wrong)
+        return scenario_file.print_mistakes(wrong)
     found = options.unchecked(scenario, agents_too=network)
     return scenario_file.check_network_and_print(found, own) if network else scenario_file.check(found)
 
