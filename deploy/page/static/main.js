@@ -80,7 +80,7 @@ function hello(message) {
   document.title = `${message.run} – Covey`;
   $("beside").hidden = !message.beside;
   arenas.forEach((arena, index) => { arena.title = names[index]; });
-  $("beside").setAttribute("aria-label", `The same run with ${names[1]}, from above`);
+  if (message.beside) $("beside").setAttribute("aria-label", `The same run with ${names[1]}, from above`);
   document.body.classList.toggle("compares", Boolean(message.beside));
   const [mine, other] = names.map((name) => name.split(", ")[0]); // the arenas say the whole of it
   CHARTS[0].lines = message.beside ? [["ospa", mine], ["beside", other]] : [["ospa", ""]];
