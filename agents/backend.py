@@ -10,7 +10,7 @@ import numpy as np
 
 from agents.coverage import cells, search_plan
 from agents.coverage.cells import Cell
-from agents.interest.selection import Choice, select_peers
+from agents.interest.selection import Selection, select_peers
 from agents.tracking import claims, regions
 from agents.tracking.births import background_births
 from agents.tracking.particles import Particles
@@ -27,7 +27,7 @@ class Backend(NamedTuple):
     resolve_conflicts: Callable[..., np.ndarray]
     orphaned: Callable[..., np.ndarray]
     remote_copies: Callable[..., Particles]
-    select_peers: Callable[..., Choice]
+    select_peers: Callable[..., Selection]
     decide: Callable[..., search_plan.Decision]
 
 

@@ -35,7 +35,9 @@ from protocol.messages import Gossip
 from protocol.sensing import Pose, SensorModel
 from protocol.settings import BadSetting, sensor_of
 
-COPY_HORIZON = 40.0  # m around the own cell; with neighbours only, an agent that has a cell keeps no older copies of particles farther away
+COPY_DISTANCE = (
+    40.0  # m around the own cell; with neighbours only, an agent that has a cell keeps no older copies of particles farther away
+)
 
 
 class AgentContext(NamedTuple):
@@ -137,7 +139,7 @@ def run_round(
         hash=_diagram_hash(peer_table, fresh, generator_table, region.claim),
         generator_names=generator_table.name_set,
         known_names=peer_table.known_names if peer_table.neighbours_only else None,
-        horizon=COPY_HORIZON if peer_table.neighbours_only and len(region.polygon) else math.inf,
+        copy_distance=COPY_DISTANCE if peer_table.neighbours_only and len(region.polygon) else math.inf,
     )
     belief = context.tracker.belief_after(density, region, update, diagram, step)
     return result_of(context, own, RoundCell(region, generator_table), update, table, density, belief, ticks)

@@ -8,6 +8,8 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
+Numbers = np.ndarray | float
+
 
 def elementwise(function: Callable[..., float], first: np.ndarray | Sequence[float], *others: np.ndarray | Sequence[float]) -> np.ndarray:
     """What a function of `math` gives for each element of an array (or list) of any shape, or of several of one shape; 0.1 us an element.
@@ -20,6 +22,20 @@ def elementwise(function: Callable[..., float], first: np.ndarray | Sequence[flo
         raise ValueError(f"arrays of the shapes {' and '.join(str(column.shape) for column in columns)}: should be of one shape")
     found = map(function, *(column.ravel().tolist() for column in columns))
     return np.fromiter(found, float, columns[0].size).reshape(shape)
+
+
+def wedge_probability(
+    dx: np.ndarray, dy: np.ndarray, cos: Numbers, sin: Numbers, reach: Numbers, cos_half: Numbers, near: Numbers, far: Numbers
+) -> np.ndarray:
+    """Detection probability of points dx, dy m from a wedge sensor: `near` at it, `far` at its `reach` m, linear between, 0 outside.
+
+    `cos` and `sin` are those of its heading, `cos_half` that of half its angle. Compiled loops use it for single numbers.
+    """
+    squared = dx * dx + dy * dy
+    distance = np.sqrt(squared)
+    inside = (squared <= reach * reach) & (dx * cos + dy * sin >= cos_half * distance)
+    found: np.ndarray = inside * np.maximum(near + (far - near) / reach * distance, far)
+    return found
 
 
 def exp_minus(values: np.ndarray) -> np.ndarray:

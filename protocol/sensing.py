@@ -12,7 +12,7 @@ from typing import Protocol, runtime_checkable
 import msgspec
 import numpy as np
 
-from protocol.arithmetic import elementwise
+from protocol.arithmetic import elementwise, wedge_probability
 from protocol.measuring import MeasurementModel
 
 Pose = tuple[float, float, float]
@@ -92,10 +92,8 @@ class WedgeSensor(msgspec.Struct, frozen=True, dict=True, omit_defaults=True):
     def probability(self, points: np.ndarray, pose: Pose) -> np.ndarray:
         """p_d inside the wedge, 0 outside, of points (N, 2): (N,)."""
         dx, dy = points[:, 0] - pose[0], points[:, 1] - pose[1]
-        distance = np.sqrt(range2 := dx * dx + dy * dy)
-        ahead, near, far = dx * math.cos(pose[2]) + dy * math.sin(pose[2]), self.prob_detection, self.far_probability
-        inside = (range2 <= self.radius * self.radius) & (ahead >= self.cos_half_angle * distance)
-        return np.where(inside, np.maximum(near + (far - near) / self.radius * distance, far), 0.0)
+        cos, sin, shape = math.cos(pose[2]), math.sin(pose[2]), (self.radius, self.cos_half_angle)
+        return wedge_probability(dx, dy, cos, sin, *shape, self.prob_detection, self.far_probability)
 
     def footprint(self, pose: Pose) -> np.ndarray:
         """The outline with an arc point about every 5 degrees (V, 2).
@@ -119,10 +117,7 @@ def wedge_probabilities(sensors: Sequence[WedgeSensor], poses: Sequence[Pose], w
         ]
     )
     x, y, cos, sin, radius, cos_half, near, far = facts.reshape(-1, 8)[who].T
-    dx, dy = points[:, 0] - x, points[:, 1] - y
-    distance = np.sqrt(range2 := dx * dx + dy * dy)
-    inside = (range2 <= radius * radius) & (dx * cos + dy * sin >= cos_half * distance)
-    return np.where(inside, np.maximum(near + (far - near) / radius * distance, far), 0.0)
+    return wedge_probability(points[:, 0] - x, points[:, 1] - y, cos, sin, radius, cos_half, near, far)
 
 
 def measurement_of(sensor: SensorModel) -> MeasurementModel | None:

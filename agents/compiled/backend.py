@@ -27,6 +27,7 @@ from agents.compiled import (
 from agents.config import AgentConfig
 from agents.coverage import search_plan
 from agents.coverage.cells import NO_CELL, Cell
+from agents.coverage.control import Intent
 from agents.gossip.table import COLUMNS, KIND, OTHER, REACH, GossipTable
 from agents.interest import selection
 from agents.interest.tiles import Rectangle
@@ -79,10 +80,10 @@ def background_births(step: Step) -> Particles:
     return unlabelled(states, np.full(count, mass / count), ids)
 
 
-def remote_copies(near: Particles, density: Particles, polygon: np.ndarray, claim: Claim, horizon: float, step: Step) -> Particles:
+def remote_copies(near: Particles, density: Particles, polygon: np.ndarray, claim: Claim, copy_distance: float, step: Step) -> Particles:
     """See `regions.remote_copies`."""
     cell, run = polygon if len(polygon) else _NO_CORNERS, (*prepared(step.config), step.tick)
-    return Particles(*copy_kernels.remote_copies(tuple(near), tuple(density), cell, claim.generators, claim.wins_ties, horizon, *run))
+    return Particles(*copy_kernels.remote_copies(tuple(near), tuple(density), cell, claim.generators, claim.wins_ties, copy_distance, *run))
 
 
 _NO_CORNERS = np.empty((0, 2))  # writable, because a read-only array would need a second compilation
@@ -225,25 +226,24 @@ def _rows(whole: tuple[np.ndarray, ...], start: int, end: int) -> Particles:
 
 
 def select_peers(
-    cell: np.ndarray, position: tuple[float, float], reach: float, halo: float, table: np.ndarray, ground: selection.Ground
-) -> selection.Choice:
+    cell: np.ndarray, position: tuple[float, float], reach: float, halo: float, table: np.ndarray, ground: selection.KnownArena
+) -> selection.Selection:
     """See `selection.select_peers`."""
     home, bounds = cell if len(cell) else _NO_CORNERS, (ground.bounds.reach, ground.bounds.offset, ground.bounds.radius)
     chosen, needed = selection_kernels.select_peers(home, position, reach, halo, table, ground.arena, bounds, ground.drift)
-    return selection.Choice(chosen, Rectangle(*needed))
+    return selection.Selection(chosen, Rectangle(*needed))
 
 
 def decide(task: search_plan.Task, memory: search_plan.Memory) -> search_plan.Decision:
     """See `search_plan.decide`."""
-    if not task.table.all_wedges or type(task.sensor) is not WedgeSensor:
+    density, around, table, partners, *_ = task.surroundings
+    if not table.all_wedges or type(task.sensor) is not WedgeSensor:
         return search_plan.decide(task, memory)
     settings = np.array(msgspec.structs.astuple(task.settings), dtype=float)
-    density, around, rows = task.density, tuple(task.around), task.table.table
-    answer = search_kernels.decide(
-        np.array(task.numbers), settings, density.states, density.weights, around, rows, task.partners, tuple(memory), *_UNIT_VECTORS
-    )
+    points = density.states, density.weights, tuple(around)
+    answer = search_kernels.decide(np.array(task.numbers), settings, *points, table.table, partners, tuple(memory), *_UNIT_VECTORS)
     vx, vy, turn_rate, goal_x, goal_y, utilisation = [float(number) for number in answer[:6]]  # loops run as plain Python give numpy's
-    return search_plan.Decision((vx, vy), turn_rate, (goal_x, goal_y), utilisation, search_plan.Memory(*answer[6]))
+    return search_plan.Decision((vx, vy), turn_rate, Intent((goal_x, goal_y), utilisation), search_plan.Memory(*answer[6]))
 
 
 _UNIT_VECTORS = search_plan.DIRECTIONS, search_plan.SECTOR_EDGES

@@ -14,7 +14,7 @@ from agents.compiled import run_columns
 from agents.compiled.cache import cached
 from agents.compiled.measuring_kernels import birth_place, has_rays
 from agents.compiled.particle_kernels import normal, scramble, uniform
-from agents.gossip.table import KAPPA, MODEL, REACH, X, Y
+from agents.gossip.table import CLUTTER_DENSITY, MODEL, REACH, X, Y
 from agents.tracking.measurement_likelihood import BEARING, Noise
 
 _S52 = np.uint64(52)
@@ -71,8 +71,8 @@ def birth_densities(points: np.ndarray, sums: np.ndarray, sensor: np.ndarray, ma
     `sums` (M,) are the sums of w p_d g(z) of the particles for each detection.
     """
     least, least_share, most = settings[run_columns.LEAST_DENSITY], settings[run_columns.LEAST_SHARE], settings[run_columns.MOST_DENSITY]
-    kappa, radius = sensor[KAPPA], settings[run_columns.BIRTH_RADIUS]
-    lowest, area = max(least, min(least_share * kappa, 0.5 * most)), math.pi * radius * radius
+    clutter_density, radius = sensor[CLUTTER_DENSITY], settings[run_columns.BIRTH_RADIUS]
+    lowest, area = max(least, min(least_share * clutter_density, 0.5 * most)), math.pi * radius * radius
     for m in range(len(points)):
         if sensor[MODEL] == BEARING:  # the place along the beam is not known
             masses[m] = min(lowest, most)
@@ -81,7 +81,7 @@ def birth_densities(points: np.ndarray, sums: np.ndarray, sensor: np.ndarray, ma
         for other in range(len(points)):
             dx, dy = points[other, 0] - points[m, 0], points[other, 1] - points[m, 1]
             if dx * dx + dy * dy <= radius * radius and sums[other] > 0.0:
-                known += sums[other] / (kappa + sums[other])
+                known += sums[other] / (clutter_density + sums[other])
         masses[m] = min(max((masses[m] - known) / area, lowest), most)
 
 

@@ -94,9 +94,15 @@ def _scratch(number: int, corners: int) -> tuple:
 def _sort(places: np.ndarray, count: int, keys: np.ndarray) -> None:
     """Sort the first `count` places by their keys, stable; by insertion up to 64."""
     if count > 64:
-        places[:count] = places[:count][np.argsort(keys[places[:count]], kind="mergesort")]
+        places[:count] = sorted_by(keys, places[:count])
     else:
         insert(places, count, keys)
+
+
+@njit
+def sorted_by(keys: np.ndarray, places: np.ndarray) -> np.ndarray:
+    """The places (N,), sorted by their keys, stable."""
+    return places[np.argsort(keys[places], kind="mergesort")]
 
 
 @njit

@@ -18,19 +18,19 @@ _Particles = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 
 
 @njit
-def _farther(polygon: np.ndarray, x: np.ndarray, y: np.ndarray, halo: float, horizon: float) -> np.ndarray:
-    """True for the points farther than `halo` m and at most `horizon` m from a polygon: (N,) bool.
+def _farther(polygon: np.ndarray, x: np.ndarray, y: np.ndarray, halo: float, copy_distance: float) -> np.ndarray:
+    """True for the points farther than `halo` m and at most `copy_distance` m from a polygon: (N,) bool.
 
-    With an infinite horizon, points far outside the box around the polygon need no distance.
+    With an infinite copy_distance, points far outside the box around the polygon need no distance.
     """
     (west, south, east, north), wide, found = around(polygon, 0.0), halo + 1e-6, np.empty(len(x), np.bool_)
     for n in range(len(x)):
         found[n] = (x[n] < west - wide) | (x[n] > east + wide) | (y[n] < south - wide) | (y[n] > north + wide)
-    rows = np.arange(len(x)) if horizon < np.inf else np.nonzero(~found)[0]
+    rows = np.arange(len(x)) if copy_distance < np.inf else np.nonzero(~found)[0]
     nearest, within = apart(polygon, x[rows], y[rows])
     for k in range(len(rows)):
         away = 0.0 if within[k] else math.sqrt(nearest[k])
-        found[rows[k]] = away > halo and (away <= horizon or horizon == np.inf)
+        found[rows[k]] = away > halo and (away <= copy_distance or copy_distance == np.inf)
     return found
 
 
@@ -41,7 +41,7 @@ def remote_copies(
     polygon: np.ndarray,
     generators: np.ndarray,
     wins_ties: np.ndarray,
-    horizon: float,
+    copy_distance: float,
     settings: np.ndarray,
     keys: np.ndarray,
     tick: int,
@@ -69,7 +69,7 @@ def remote_copies(
             moved[number, 0], moved[number, 1], moved[number, 2], moved[number, 3] = x, y, vx, vy
             moved_weights[number], rows[number], east[number], north[number] = weight, n, x, y
             number += 1
-    outside = _farther(polygon, east[:number], north[:number], halo, horizon)
+    outside = _farther(polygon, east[:number], north[:number], halo, copy_distance)
     for k in range(number):
         if outside[k]:
             for axis in range(4):

@@ -19,13 +19,13 @@ from agents.compiled.extraction_kernels import block
 from agents.compiled.label_kernels import birth_label, label_scan
 from agents.compiled.measuring_kernels import has_rays, noise_of
 from agents.compiled.measuring_kernels import pairs as ray_pairs
-from agents.compiled.particle_kernels import blank, exp_minus, scramble, sigma_sensors, wedge
+from agents.compiled.particle_kernels import blank, exp_minus, scramble, sigma_sensors, wedge, wedge_probability
 from agents.gossip.table import (
+    CLUTTER_DENSITY,
     COS,
     COS_HALF,
     DETECTIONS,
     FAR_PROB,
-    KAPPA,
     KIND,
     MODEL,
     NO_SCAN,
@@ -123,15 +123,10 @@ def _probabilities(x: np.ndarray, y: np.ndarray, sensors: np.ndarray, probabilit
 @njit
 def _add_view(x: np.ndarray, y: np.ndarray, sensor: np.ndarray, probabilities: np.ndarray) -> None:
     """Add p_d of points, of a row of `GossipTable.table`, to `probabilities` (N,); without branches, for several at once."""
-    sensor_x, sensor_y, cos, sin, cos_half = sensor[X], sensor[Y], sensor[COS], sensor[SIN], sensor[COS_HALF]
-    reach2, near, far = sensor[REACH] * sensor[REACH], sensor[PROB], sensor[FAR_PROB]
-    slope = (far - near) / sensor[REACH]
+    sensor_x, sensor_y, cos, sin = sensor[X], sensor[Y], sensor[COS], sensor[SIN]
+    reach, cos_half, near, far = sensor[REACH], sensor[COS_HALF], sensor[PROB], sensor[FAR_PROB]
     for n in range(len(x)):
-        dx, dy = x[n] - sensor_x, y[n] - sensor_y
-        range2 = dx * dx + dy * dy
-        apart = math.sqrt(range2)
-        inside = (range2 <= reach2) & (dx * cos + dy * sin >= cos_half * apart)
-        probabilities[n] += max(near + slope * apart, far) if inside else 0.0
+        probabilities[n] += wedge_probability(x[n] - sensor_x, y[n] - sensor_y, cos, sin, reach, cos_half, near, far)
 
 
 @njit
@@ -320,7 +315,7 @@ def _normalisers(
         birth_densities(points, norms, sensor, born, settings)
     for m in range(len(points)):
         fresh = _seen(points[m, 0], points[m, 1], sigma_rows) * born[m]
-        norm = sensor[KAPPA] + fresh + norms[m]
+        norm = sensor[CLUTTER_DENSITY] + fresh + norms[m]
         norms[m] = norm if norm > 0.0 else 1.0
         born[m] = fresh / norms[m]
     return norms

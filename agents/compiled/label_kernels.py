@@ -7,7 +7,8 @@ import numpy as np
 from numba import njit
 
 from agents.compiled.cache import cached
-from agents.compiled.particle_kernels import merge_runs, scramble
+from agents.compiled.cell_kernels import sorted_by
+from agents.compiled.particle_kernels import scramble
 from agents.tracking.labels import (
     ADOPTED_SHARE,
     ADOPTION_RADIUS,
@@ -123,7 +124,7 @@ def _name_by_weight(shares: tuple, known: np.ndarray, given: np.ndarray) -> np.n
     heads, following = np.full(len(starts), peaks), np.empty(peaks, np.int64)  # the first peak of a core without a label, and the next
     for m in range(peaks - 1, -1, -1):
         following[m], heads[cores[m]] = heads[cores[m]], m
-    order = merge_runs(-weights, merge_runs(labels, np.arange(pairs)))
+    order = sorted_by(-weights, sorted_by(labels, np.arange(pairs)))
     first = 0
     while first < pairs:
         k, weight, peak, end = numbers[order[first]], weights[order[first]], peaks, first

@@ -16,7 +16,7 @@ from numba import njit
 
 from agents.compiled import run_columns
 from agents.compiled.cache import cached
-from agents.compiled.cell_kernels import insert
+from agents.compiled.cell_kernels import insert, sorted_by
 from agents.gossip.table import (
     COS,
     COS_HALF,
@@ -44,6 +44,7 @@ scramble: Any = njit(random_streams.scramble)
 uniform: Any = njit(random_streams.uniform)
 normal: Any = njit(random_streams.normal)
 exp_minus: Any = njit(arithmetic.exp_minus)
+wedge_probability: Any = njit(arithmetic.wedge_probability)
 
 
 @njit
@@ -99,7 +100,7 @@ def sort_by_id(ids: np.ndarray, order: np.ndarray) -> np.ndarray:
     """The indices `order` (N,), sorted by ascending id; the sort is stable.
 
     Ids are hashes: their first bits spread them over buckets of about one id each, and an insertion sort orders the rest. Sorted indices
-    are returned as they are. Ids that do not spread are sorted by merging runs.
+    are returned as they are. Ids that do not spread are sorted by merging.
     """
     count, runs = len(order), 1
     for n in range(1, count):
@@ -117,7 +118,7 @@ def sort_by_id(ids: np.ndarray, order: np.ndarray) -> np.ndarray:
         fullest = max(fullest, starts[bucket])
         starts[bucket] += starts[bucket - 1]
     if fullest > _FULLEST:
-        return merge_runs(ids, order)
+        return sorted_by(ids, order)
     found = np.empty_like(order)
     for n in range(count):
         bucket = np.int64(ids[order[n]] >> shift)
@@ -128,41 +129,10 @@ def sort_by_id(ids: np.ndarray, order: np.ndarray) -> np.ndarray:
 
 
 @njit
-def merge_runs(ids: np.ndarray, order: np.ndarray) -> np.ndarray:
-    """The indices `order` (N,), sorted by ascending id; a natural merge sort, stable. Ids may be any numbers. `order` is overwritten."""
-    count = len(order)
-    source, target, starts = order, np.empty_like(order), np.empty(count + 1, np.int64)
-    while True:
-        runs = 0
-        for n in range(count):
-            if n == 0 or ids[source[n]] < ids[source[n - 1]]:
-                starts[runs] = n
-                runs += 1
-        if runs <= 1:
-            return source
-        starts[runs] = count
-        for run in range(0, runs, 2):
-            low, middle = starts[run], starts[min(run + 1, runs)]
-            high = starts[min(run + 2, runs)]
-            left, right = low, middle
-            for n in range(low, high):
-                if left < middle and (right >= high or ids[source[left]] <= ids[source[right]]):
-                    target[n] = source[left]
-                    left += 1
-                else:
-                    target[n] = source[right]
-                    right += 1
-        source, target = target, source
-
-
-@njit
 def wedge(x: float, y: float, sensor: np.ndarray) -> float:
     """Twin of `WedgeSensor.probability` for one point; `sensor` is a row of `GossipTable.table`."""
-    dx, dy = x - sensor[X], y - sensor[Y]
-    range2 = dx * dx + dy * dy
-    apart, near, far = math.sqrt(range2), sensor[PROB], sensor[FAR_PROB]
-    seen = (range2 <= sensor[REACH] * sensor[REACH]) & (dx * sensor[COS] + dy * sensor[SIN] >= sensor[COS_HALF] * apart)
-    return max(near + (far - near) / sensor[REACH] * apart, far) if seen else 0.0
+    shape = sensor[REACH], sensor[COS_HALF]
+    return wedge_probability(x - sensor[X], y - sensor[Y], sensor[COS], sensor[SIN], *shape, sensor[PROB], sensor[FAR_PROB])
 
 
 @njit

@@ -12,7 +12,7 @@ import numpy as np
 from numba import njit
 
 from agents.compiled.cache import cached
-from agents.compiled.particle_kernels import exp_minus, sort_by_id
+from agents.compiled.particle_kernels import exp_minus, sort_by_id, wedge_probability
 from agents.coverage.search_plan import (
     CAPACITY_ANGLE,
     DECAY_LENGTH,
@@ -60,11 +60,9 @@ def _mark_view(seen: np.ndarray, table: np.ndarray, now: float, side: float) -> 
         west, east = max(int(np.floor((x - reach) / side)), 0), min(int(np.floor((x + reach) / side)), columns - 1)
         south, north = max(int(np.floor((y - reach) / side)), 0), min(int(np.floor((y + reach) / side)), rows - 1)
         for row in range(south, north + 1):
-            dy = (row + 0.5) * side - y
             for column in range(west, east + 1):
-                dx = (column + 0.5) * side - x
-                range2 = dx * dx + dy * dy
-                if (range2 <= reach * reach) & (dx * cos + dy * sin >= cos_half * math.sqrt(range2)):
+                dx, dy = (column + 0.5) * side - x, (row + 0.5) * side - y
+                if wedge_probability(dx, dy, cos, sin, reach, cos_half, 1.0, 1.0) > 0.0:
                     seen[row, column] = now
 
 
@@ -270,9 +268,7 @@ def _last_sight(
             continue
         cos, sin, cos_half = table[k, SENSOR_COS], table[k, SENSOR_SIN], table[k, COS_HALF]
         for n in range(len(ids)):
-            dx, dy = states[n, 0] - x, states[n, 1] - y
-            range2 = dx * dx + dy * dy
-            if (range2 <= reach * reach) & (dx * cos + dy * sin >= cos_half * math.sqrt(range2)):
+            if wedge_probability(states[n, 0] - x, states[n, 1] - y, cos, sin, reach, cos_half, 1.0, 1.0) > 0.0:
                 last[n] = now
     return last
 

@@ -9,7 +9,7 @@ import numpy as np
 from numba import njit
 
 from agents.compiled.cache import cached
-from agents.compiled.cell_kernels import distance
+from agents.compiled.cell_kernels import around, distance
 from agents.interest.position_table import GENERATOR_X, GENERATOR_Y, POWER_RADIUS, SENSOR_REACH, SENSOR_X, SENSOR_Y
 from agents.interest.selection import APPEARANCE_MARGIN, GRID_SPACING, OWNER_SLACK, SEARCH_RADIUS, SELECTION_MARGIN
 
@@ -18,20 +18,9 @@ BLOCK = 4  # points of a grid along each side of a block
 
 
 @njit
-def _limits(corners: np.ndarray) -> Limits:
-    """West, south, east and north of points (N, 2), m."""
-    west = east = corners[0, 0]
-    south = north = corners[0, 1]
-    for c in range(1, len(corners)):
-        west, east = min(west, corners[c, 0]), max(east, corners[c, 0])
-        south, north = min(south, corners[c, 1]), max(north, corners[c, 1])
-    return west, south, east, north
-
-
-@njit
 def _rivals(points: np.ndarray, table: np.ndarray) -> np.ndarray:
     """Twin of `selection._within_reach`: (K, 4) of row number, x and y in m, and squared radius in m^2 of the generators."""
-    west, south, east, north = _limits(points)
+    west, south, east, north = around(points, 0.0)
     x, y = 0.5 * (west + east), 0.5 * (south + north)
     farthest = 0.0
     for p in range(len(points)):
@@ -63,7 +52,7 @@ def _candidates(points: np.ndarray, rivals: np.ndarray, away: np.ndarray, found:
     to the far sides of the circle. A rival is found if its power distance to the near side exceeds that by no more than the margin. The
     margin is `OWNER_SLACK` times the distance from the rival to the best generator, of which this is an upper bound.
     """
-    west, south, east, north = _limits(points)
+    west, south, east, north = around(points, 0.0)
     x, y = 0.5 * (west + east), 0.5 * (south + north)
     dx, dy = 0.5 * (east - west), 0.5 * (north - south)
     radius, limit, most = math.sqrt(dx * dx + dy * dy), np.inf, 0.0
@@ -114,9 +103,9 @@ def _search_grid(
     cell: np.ndarray, position: tuple[float, float], halo: float, reach: float, arena: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Twin of `selection.search_grid`: points (N, 2) in m, block after block of neighbouring points, and the end of each block."""
-    west, south, east, north = _limits(cell)
+    west, south, east, north = around(cell, 0.0)
     width = max(halo, reach) + SELECTION_MARGIN + GRID_SPACING
-    first, bottom, last, top = _limits(arena)
+    first, bottom, last, top = around(arena, 0.0)
     first, bottom = max(min(west, position[0]) - width, first), max(min(south, position[1]) - width, bottom)
     last, top = min(max(east, position[0]) + width, last), min(max(north, position[1]) + width, top)
     columns, rows = 2 + int(max(last - first, 0.0) / GRID_SPACING), 2 + int(max(top - bottom, 0.0) / GRID_SPACING)
@@ -151,7 +140,7 @@ def _likeliest_cell(table: np.ndarray, arena: np.ndarray) -> np.ndarray:
     home[0, 0], home[0, 1] = x, y
     if number == 1:
         return home
-    west, south, east, north = _limits(arena)
+    west, south, east, north = around(arena, 0.0)
     west, south, east, north = (
         max(west, x - SEARCH_RADIUS),
         max(south, y - SEARCH_RADIUS),
@@ -190,14 +179,14 @@ def select_peers(
 ) -> tuple[np.ndarray, Limits]:
     """Twin of `selection.select_peers`: True for the chosen rows, and the needed ground as west, south, east and north in m.
 
-    `bounds` and `drift` are those of `selection.Ground`.
+    `bounds` and `drift` are those of `selection.KnownArena`.
     """
     number, home = len(table) - 1, cell
     if len(cell) == 0:
         home, halo = _likeliest_cell(table, arena), halo + APPEARANCE_MARGIN
     points, ends = _search_grid(home, position, halo, reach, arena)
     owning, least = _owners(points, ends, table)
-    west, south, east, north = _limits(home)
+    west, south, east, north = around(home, 0.0)
     chosen = owning[:number]
     for n in range(number):
         if not chosen[n]:

@@ -36,11 +36,9 @@ class SearchAndTrack:
         numbers = PlanInput(
             now, situation.dt * situation.ticks, x, y, cos, sin, *shape, *bounds, float(surroundings.is_open), *surroundings.goal
         )
-        task = Task(
-            numbers, self._settings, sensor, heading, surroundings.density, surroundings.around, surroundings.table, surroundings.partners
+        task, memory = (
+            Task(numbers, self._settings, sensor, heading, surroundings),
+            self._memory or no_memory(width, height, self._settings.bin),
         )
-        velocity, turn_rate, goal, utilisation, self._memory = self._backend.decide(
-            task, self._memory or no_memory(width, height, self._settings.bin)
-        )
-        self.intent = Intent(goal, utilisation)
+        velocity, turn_rate, self.intent, self._memory = self._backend.decide(task, memory)
         return velocity, turn_rate

@@ -16,6 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from agents.config import SearchSettings
+from agents.coverage.control import Intent, Surroundings
 from agents.gossip.table import GossipTable
 from agents.tracking.particles import Particles, mirrored, select, total
 from protocol.arithmetic import exp_minus
@@ -86,10 +87,7 @@ class Task(NamedTuple):
     settings: SearchSettings
     sensor: SensorModel
     heading: float  # rad
-    density: Particles  # the particles everywhere, one tick before
-    around: Particles  # those around the own cell, after the scans of this tick
-    table: GossipTable  # the gossips of this tick
-    partners: np.ndarray  # (K, 5): goal x, y in m, utilisation, reach in m, 1 if the name comes before the own one
+    surroundings: Surroundings
 
 
 class Decision(NamedTuple):
@@ -97,8 +95,7 @@ class Decision(NamedTuple):
 
     velocity: tuple[float, float]  # m/s
     turn_rate: float  # rad/s
-    goal: tuple[float, float]  # m
-    utilisation: float  # the tracks around the goal that was announced, as a multiple of what the sensor can hold
+    intent: Intent  # its utilisation is that of the tracks around the goal that was announced before
     memory: Memory
 
 
@@ -112,14 +109,14 @@ def decide(task: Task, memory: Memory) -> Decision:
     """The decision of a round: choose a goal, move towards it, and turn to what is worth seeing from there."""
     numbers = task.numbers
     horizon = max(task.settings.horizon, numbers.dt)  # a command of a slower pace may last longer than the horizon
-    seen = mark_view(memory.seen, task.table, numbers.now, task.settings.bin)
+    seen = mark_view(memory.seen, task.surroundings.table, numbers.now, task.settings.bin)
     goal, utilisation = best_goal(task, seen)
     vx, vy = (goal[0] - numbers.x) / horizon, (goal[1] - numbers.y) / horizon
-    around = select(task.around, np.argsort(task.around.ids, kind="stable"))
+    around = select(task.surroundings.around, np.argsort(task.surroundings.around.ids, kind="stable"))
     last = last_sight(around, task, memory, seen)
     place = numbers.x + vx * numbers.dt, numbers.y + vy * numbers.dt
     turn = best_turn(task, place, around, last, unserved_particle_shares(task, around))
-    return Decision((vx, vy), turn / numbers.dt, goal, utilisation, Memory(seen, around.ids, last))
+    return Decision((vx, vy), turn / numbers.dt, Intent(goal, utilisation), Memory(seen, around.ids, last))
 
 
 def mark_view(seen: np.ndarray, table: GossipTable, now: float, side: float) -> np.ndarray:
@@ -146,7 +143,7 @@ def bin_values(task: Task, seen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     A particle is of a track if its bin was in view within `stale` s, or the place where it came from was. Targets enter at open borders.
     """
     numbers, settings, side = task.numbers, task.settings, task.settings.bin
-    x, y, vx, vy = task.density.states.T
+    x, y, vx, vy = task.surroundings.density.states.T
     ahead, now, stale = settings.horizon + numbers.dt, numbers.now, settings.stale
     px, py = x + vx * ahead, y + vy * ahead
     if not numbers.is_open:
@@ -161,7 +158,10 @@ def bin_values(task: Task, seen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     flat = rows * seen.shape[1] + columns
     watched_mass, values = (
         np.bincount(flat[some], weights[some], seen.size).astype(float).reshape(seen.shape)
-        for some, weights in ((inside & track, task.density.weights), (inside & ~track, settings.weight * task.density.weights))
+        for some, weights in (
+            (inside & track, task.surroundings.density.weights),
+            (inside & ~track, settings.weight * task.surroundings.density.weights),
+        )
     )
     if numbers.is_open:
         border = np.ones(seen.shape, dtype=bool)
@@ -181,7 +181,7 @@ def unserved_shares(task: Task, x: np.ndarray, y: np.ndarray, sharing: float) ->
     dx, dy = x - numbers.goal_x, y - numbers.goal_y
     own = _costs(np.sqrt(dx * dx + dy * dy), service_radius(numbers.reach, side))
     tracks, values = np.ones(len(x)), np.ones(len(x))
-    for goal_x, goal_y, utilisation, reach, first in task.partners.tolist():
+    for goal_x, goal_y, utilisation, reach, first in task.surroundings.partners.tolist():
         radius = service_radius(reach, side)
         dx, dy = x - goal_x, y - goal_y
         apart = np.sqrt(dx * dx + dy * dy)
@@ -248,7 +248,7 @@ def last_sight(around: Particles, task: Task, memory: Memory, seen: np.ndarray) 
     if len(memory.ids):
         places = np.minimum(np.searchsorted(memory.ids, around.ids), len(memory.ids) - 1)
         last = np.where(memory.ids[places] == around.ids, memory.last[places], last)
-    for sensor, pose in task.table.views:
+    for sensor, pose in task.surroundings.table.views:
         last[sensor.probability(around.states[:, :2], pose) > 0.0] = now
     return last
 

@@ -46,7 +46,7 @@ COLUMNS = 27
     REACH,
     COS_HALF,
     PROB,
-    KAPPA,
+    CLUTTER_DENSITY,
     KIND,
     SALT,
     MODEL,
@@ -115,6 +115,7 @@ class GossipTable:
             table[:, PLACE_NOISE : HEADING_NOISE + 1] = 0.0
             return table
         for row, gossip in zip(table, self.gossips):
+            # the last two turn left and right; an exact pose is one alone, which counts twice
             left, right = [heading for _, _, heading in 2 * sigma_poses(gossip.pose, gossip.pose_noise or EXACT_POSE)][-2:]
             row[COS_LEFT:] = math.cos(left), math.sin(left), math.cos(right), math.sin(right)
         return table
@@ -204,7 +205,7 @@ class GossipTable:
         return OTHER not in self.table[:, KIND].tolist()
 
     @cached_attribute
-    def claimed(self) -> tuple[int, int] | None:
+    def common_diagram(self) -> tuple[int, int] | None:
         """The tick and the hash of the diagram that all claims share; None when they differ."""
         shared = {(gossip.claim_tick, gossip.diagram_hash) for gossip in self.gossips}
         return shared.pop() if len(shared) == 1 else None
@@ -250,13 +251,13 @@ class GossipTable:
     def scans(self) -> list[Scan]:
         """The scans of this tick, in the order of the update: by ascending p_d, then by name."""
         found, ends = [], np.cumsum(self.table[:, DETECTIONS]).astype(np.int64)
-        for gossip, announced, numbers, end in zip(self.gossips, self.sensors, self.table, ends):
+        for gossip, announced, numbers, salt, end in zip(self.gossips, self.sensors, self.table, self.salts.tolist(), ends):
             if numbers[KIND] != NO_SCAN:
                 rows = slice(end - np.int64(numbers[DETECTIONS]), end)
-                order, salt = np.arange(numbers[DETECTIONS], dtype=np.uint64), random_key("sensor", gossip.sender)
-                noise, kappa = (float(numbers[PLACE_NOISE]), float(numbers[HEADING_NOISE])), float(numbers[KAPPA])
+                order, clutter_density = np.arange(numbers[DETECTIONS], dtype=np.uint64), float(numbers[CLUTTER_DENSITY])
+                noise = float(numbers[PLACE_NOISE]), float(numbers[HEADING_NOISE])
                 rays = self.rays[rows] if numbers[MODEL] or noise != EXACT_POSE else None  # whatever other sensors in the table measure
-                scan = Scan(salt, announced.sensor, gossip.pose, self.detections[rows], order, kappa, rays, noise)
+                scan = Scan(salt, announced.sensor, gossip.pose, self.detections[rows], order, clutter_density, rays, noise)
                 found.append((float(numbers[PROB]), scan))
         return [scan for _, scan in sorted(found, key=lambda one: one[0])]
 

@@ -19,12 +19,12 @@ from agents.coverage.capacity import to_world
 from agents.coverage.control import ControlInput
 from agents.gossip.inbox import WINDOW_TICKS
 from agents.interest.position_table import GENERATOR_X, POWER_RADIUS, beacon_row
-from agents.interest.selection import BEACON_JUMP, BEACON_PERIOD, SELECTION_MARGIN, SELECTION_PERIOD, Choice, Ground
+from agents.interest.selection import BEACON_JUMP, BEACON_PERIOD, SELECTION_MARGIN, SELECTION_PERIOD, KnownArena, Selection
 from agents.interest.tiles import Bounds, Rectangle, TileBlock, Tiling
 from agents.membership.half_open_link import HalfOpenLinkDetector, WorldLinkDetector
 from agents.membership.peer import Peer
 from agents.membership.peer_table import PeerTable
-from agents.round import COPY_HORIZON, AgentContext, RoundResult
+from agents.round import COPY_DISTANCE, AgentContext, RoundResult
 from protocol.keys import beacons_in, one_of, order, tokens_of
 from protocol.messages import Beacon, Gossip, Observation
 from protocol.node import Effect, Reopen, Subscribe, Unsubscribe
@@ -56,7 +56,7 @@ class InterestManager:
         self._context, self._peer_table = context, peer_table
         self._tiling = Tiling(config.timing.tile, config.arena)
         drift = BEACON_JUMP + config.limits.speed * config.run.dt
-        self._ground = Ground(context.arena, context.announced.bounds, drift)
+        self._ground = KnownArena(context.arena, context.announced.bounds, drift)
         periods = BEACON_PERIOD, SELECTION_PERIOD, LINGER_SECONDS
         self._period, self._between, self._linger = (max(1, round(seconds / config.run.dt)) for seconds in periods)
         self._phase, self._turn = random_key("beacon", context.name) % self._period, 0  # of the beacon that each period brings; its number
@@ -119,7 +119,7 @@ class InterestManager:
         cell = self._first_cell(self._own_beacon(observation, outcome), observation.tick)
         x, y = np.vstack([cell, [observation.pose[:2]]]).T
         around = Rectangle(float(x.min()), float(y.min()), float(x.max()), float(y.max()))
-        return around.wider(max(COPY_HORIZON, self._context.sensor.reach + SELECTION_MARGIN))
+        return around.wider(max(COPY_DISTANCE, self._context.sensor.reach + SELECTION_MARGIN))
 
     def _first_cell(self, own: Beacon, tick: int) -> np.ndarray:
         """The cell (V, 2) m that the known generators leave to this agent."""
@@ -258,14 +258,14 @@ class InterestManager:
         choice, table = self._select(cell, own, tick)
         return [*self._apply(choice, table, tick), *self._follow_tiles(choice.needed, tick)]
 
-    def _select(self, cell: np.ndarray, own: Beacon, tick: int) -> tuple[Choice, np.ndarray]:
+    def _select(self, cell: np.ndarray, own: Beacon, tick: int) -> tuple[Selection, np.ndarray]:
         """The selection for a cell, and the table of positions behind it."""
         context, table = self._context, self._table(own, tick)
         return context.backend.select_peers(
             cell, own.position, context.sensor.reach, context.config.filter.halo, table, self._ground
         ), table
 
-    def _apply(self, choice: Choice, table: np.ndarray, tick: int) -> list[Effect]:
+    def _apply(self, choice: Selection, table: np.ndarray, tick: int) -> list[Effect]:
         """Make a selection the interest set; the subscriptions that change."""
         self._peer_table.choose(table, choice)
         while self._known_areas_from and tick >= self._known_areas_from[0][0]:

@@ -28,7 +28,7 @@ OWNER_SLACK = math.sqrt(2.0) * GRID_SPACING  # m^2 per m: see `owners`
 SEARCH_RADIUS = 40.0  # m: the place where an empty cell will appear is searched this far around its generator
 
 
-class Ground(NamedTuple):
+class KnownArena(NamedTuple):
     """What an agent knows of the arena: its corners (4, 2) m, and bounds that no known agent exceeds."""
 
     arena: np.ndarray
@@ -36,7 +36,7 @@ class Ground(NamedTuple):
     drift: float  # m: how far an agent may be from the position in its last beacon
 
 
-class Choice(NamedTuple):
+class Selection(NamedTuple):
     """The peers among N that must be heard, (N,) bool, and the rectangle in which all agents must be known to certify that."""
 
     chosen: np.ndarray
@@ -79,7 +79,7 @@ def _axis(low: float, high: float, step: float) -> np.ndarray:
     return low + step * np.arange(2 + int(max(high - low, 0.0) / step))
 
 
-def search_grid(cell: np.ndarray, position: tuple[float, float], halo: float, reach: float, ground: Ground) -> np.ndarray:
+def search_grid(cell: np.ndarray, position: tuple[float, float], halo: float, reach: float, ground: KnownArena) -> np.ndarray:
     """Points (P, 2) of a grid over the arena within the halo of a cell or within `reach` m of the sensor, `SELECTION_MARGIN` m wider."""
     around, arena = np.vstack([cell, [position]]), ground.arena
     width = max(halo, reach) + SELECTION_MARGIN + GRID_SPACING
@@ -92,7 +92,9 @@ def search_grid(cell: np.ndarray, position: tuple[float, float], halo: float, re
     return points[near | (distances(cell, points) <= halo + SELECTION_MARGIN + GRID_SPACING)]
 
 
-def select_peers(cell: np.ndarray, position: tuple[float, float], reach: float, halo: float, table: np.ndarray, ground: Ground) -> Choice:
+def select_peers(
+    cell: np.ndarray, position: tuple[float, float], reach: float, halo: float, table: np.ndarray, ground: KnownArena
+) -> Selection:
     """The selection among N peers, for a cell and a sensor at `position`, m.
 
     `table` (N + 1, 6) holds the positions of the peers (`position_table`) and, last, the own one.
@@ -105,10 +107,10 @@ def select_peers(cell: np.ndarray, position: tuple[float, float], reach: float, 
     observing = distances(home, table[:-1, SENSOR_X:SENSOR_REACH]) <= halo + SELECTION_MARGIN + table[:-1, SENSOR_REACH]
     points = search_grid(home, position, halo, reach, ground)
     owning, least = owners(points, generators)
-    return Choice(observing | owning[:-1], _needed(home, points, least, halo, ground))
+    return Selection(observing | owning[:-1], _needed(home, points, least, halo, ground))
 
 
-def _needed(home: np.ndarray, points: np.ndarray, least: np.ndarray, halo: float, ground: Ground) -> Rectangle:
+def _needed(home: np.ndarray, points: np.ndarray, least: np.ndarray, halo: float, ground: KnownArena) -> Rectangle:
     """The rectangle outside of which no unknown peer can own a point or observe the surroundings of the cell.
 
     The points (P, 2) have the power distances `least` (P,) m^2. The power distance of an unknown generator is at least its distance

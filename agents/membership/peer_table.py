@@ -24,7 +24,7 @@ import numpy as np
 from agents.config import AgentConfig
 from agents.gossip.inbox import RoundInbox
 from agents.interest.position_table import GENERATOR_X, NO_GENERATORS, POWER_RADIUS, PositionTable, UnsubscribedGenerators
-from agents.interest.selection import Choice
+from agents.interest.selection import Selection
 from agents.membership.agreement import SettingsAgreement
 from agents.membership.peer import Peer, all_acceptable, announced_by, plausible, same_sensor, with_newer_generator, with_peer
 from protocol.fields import MAX_NAMES
@@ -386,7 +386,7 @@ class PeerTable:
         if len(self._strangers) > self._most_strangers:
             self._remove({next(iter(self._strangers))})
 
-    def choose(self, table: np.ndarray, choice: Choice) -> None:
+    def choose(self, table: np.ndarray, choice: Selection) -> None:
         """Make the chosen ones of N peers the interest set; a table (N or more, 6) holds their positions."""
         chosen, self.positions.needed = choice
         positions, before, number = self.positions, self.unsubscribed, len(self.positions)

@@ -58,7 +58,7 @@ class CopyInputs(NamedTuple):
     density: GossipTable | Particles  # the particles that counted, one tick before
     polygon: np.ndarray  # the own cell
     claim: Claim
-    horizon: float = math.inf  # m from the cell: copies farther away are dropped
+    copy_distance: float = math.inf  # m from the cell: copies farther away are dropped
 
 
 @dataclass
@@ -76,8 +76,8 @@ class Copies:
     def compute(self) -> Particles:
         """Compute the copies that are still to be computed; return all of them, at the tick of the belief."""
         if self.inputs is not None:
-            step, backend, density, polygon, claim, horizon = self.inputs
-            copies = backend.remote_copies(self.near, as_particles(density), polygon, claim, horizon, step)
+            step, backend, density, polygon, claim, copy_distance = self.inputs
+            copies = backend.remote_copies(self.near, as_particles(density), polygon, claim, copy_distance, step)
             self.near, self.inputs = worth_keeping(copies, step.config.filter.particles_per_target), None
         self.near, self.skipped_steps = reduce(predict, self.skipped_steps, self.near), ()
         return self.near
@@ -183,6 +183,6 @@ class ParticlePhd(NamedTuple):
         self, density: GossipTable | Particles, region: RegionInput, update: RegionUpdate, diagram: KnownDiagram, step: Step
     ) -> Belief:
         """See `Tracker.belief_after`: the drawn particles are owned; the copies are computed when they are needed."""
-        copies = Copies(update.updated, CopyInputs(step, self.backend, density, region.polygon, region.claim, diagram.horizon))
+        copies = Copies(update.updated, CopyInputs(step, self.backend, density, region.polygon, region.claim, diagram.copy_distance))
         mine = OwnedState(region.owner, region.claim, as_stated(update.resampled, region.owner, step), diagram.hash)
         return Belief(step.tick, mine, copies, diagram.generator_names, diagram.known_names)

@@ -143,11 +143,11 @@ class MixturePhd(NamedTuple):
     def belief_after(
         self, density: GossipTable | Mixture, region: RegionInput, update: RegionUpdate, diagram: KnownDiagram, step: Step
     ) -> Belief:
-        """See `Tracker.belief_after`: copies are the corrected components in the arena, outside the cell and within the horizon of it."""
+        """See `Tracker.belief_after`: copies are the corrected components in the arena, outside the cell and within `copy_distance`."""
         means, arena = update.updated.means, step.config.arena
         others = ~claims.owned(means, region.claim, arena) & arena.holds(means[:, 0], means[:, 1])
-        if diagram.horizon < math.inf:
-            others &= geometry.distances(region.polygon, means) <= diagram.horizon
+        if diagram.copy_distance < math.inf:
+            others &= geometry.distances(region.polygon, means) <= diagram.copy_distance
         mine = OwnedState(region.owner, region.claim, update.resampled, diagram.hash)
         return Belief(step.tick, mine, select(update.updated, others), diagram.generator_names, diagram.known_names)
 

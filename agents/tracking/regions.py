@@ -95,16 +95,16 @@ def in_view(particles: Particles, sensor: SensorModel, pose: Pose) -> tuple[floa
     return total(seen), total(seen * probability)
 
 
-def remote_copies(near: Particles, density: Particles, polygon: np.ndarray, claim: Claim, horizon: float, step: Step) -> Particles:
+def remote_copies(near: Particles, density: Particles, polygon: np.ndarray, claim: Claim, copy_distance: float, step: Step) -> Particles:
     """The copies after a round, all of positive weight: particles `near` the cell, then those of the `density` one step before.
 
     Of the corrected particles `near` the cell, those in the arena and outside the claim are copies. Of the density, moved
-    by one step, those farther than the halo and within `horizon` m of the cell are copies. `polygon` (V, 2) is the cell, m.
+    by one step, those farther than the halo and within `copy_distance` m of the cell are copies. `polygon` (V, 2) is the cell, m.
     """
     arena, states = step.config.arena, near.states
     others = select(near, ~claims.owned(states, claim, arena) & arena.holds(states[:, 0], states[:, 1]))
     moved = predict(density, step)
     away = geometry.distances(polygon, moved.states)
-    apart, within = away > step.config.filter.halo, (away <= horizon) | (horizon == math.inf)
+    apart, within = away > step.config.filter.halo, (away <= copy_distance) | (copy_distance == math.inf)
     copies = join([others, select(moved, apart & within)])
     return select(copies, copies.weights > 0.0)

@@ -44,7 +44,7 @@ class KnownDiagram(NamedTuple):
     hash: int  # agents with equal hashes cut the same diagram
     generator_names: frozenset[str]  # the agents with a generator in it
     known_names: frozenset[str] | None  # the agents known in that round; None if the agent receives all gossips
-    horizon: float  # m from its cell: it keeps no copies farther away
+    copy_distance: float  # m from its cell: it keeps no copies farther away
 
 
 class RegionUpdate(NamedTuple):
@@ -107,7 +107,7 @@ def claims_tile_arena(belief: Belief, table: GossipTable) -> bool:
 
     Before its first round an agent has cut no diagram, and its hash is 0: it claims nothing, so that its copies count.
     """
-    agreed = belief.mine.diagram_hash != 0 and table.claimed == (belief.claim_tick, belief.mine.diagram_hash)
+    agreed = belief.mine.diagram_hash != 0 and table.common_diagram == (belief.claim_tick, belief.mine.diagram_hash)
     return agreed and bool(belief.generator_names) and belief.generator_names <= table.name_set and not unknown_senders(belief, table)
 
 

@@ -13,7 +13,7 @@ from agents.backend import PLAIN, Backend
 from agents.config import AgentConfig, BirthSettings, ExtractionSettings, FilterSettings, TimingSettings
 from agents.coverage.cells import NO_CELL, Cell, cut
 from agents.gossip.table import GossipTable
-from agents.interest.selection import Ground
+from agents.interest.selection import KnownArena
 from agents.interest.tiles import Bounds
 from agents.tracking.claims import end_to_end, make_claim, owned
 from agents.tracking.extraction import NO_ESTIMATES, estimate_targets
@@ -392,6 +392,6 @@ def test_whom_to_hear(seed: int, others: int) -> None:
     places = np.column_stack([points + rng.normal(0.0, 5.0, points.shape), rng.choice([5.0, 8.0, 25.0], others + 1)])
     table = np.column_stack([places, points, radii])
     cell = cut(others, points, radii, rectangle(side, side)).polygon
-    ground = Ground(rectangle(side, side), Bounds(25.0, 7.0, 20.0), 5.0)
+    ground = KnownArena(rectangle(side, side), Bounds(25.0, 7.0, 20.0), 5.0)
     x, y, reach = places[-1].tolist()
     assert_same("select_peers", cell, (x, y), reach, 6.0, table, ground)

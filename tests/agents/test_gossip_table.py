@@ -60,7 +60,7 @@ def test_particles_stand_end_to_end_with_their_senders_weights() -> None:
     other = gossip("s3", diagram_hash=7, claim_tick=4)
     said = words(one, other)
     assert said.particles.ids.tolist() == [3, 9] and said.particles.weights.tolist() == [0.5, 0.5]
-    assert said.claimed == (4, 7) and words(one, gossip("s3", diagram_hash=8, claim_tick=4)).claimed is None
+    assert said.common_diagram == (4, 7) and words(one, gossip("s3", diagram_hash=8, claim_tick=4)).common_diagram is None
     assert words().particles.states.shape == (0, 4) and words().generators.shape == (0, 3)
 
 

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 from agents.coverage.cells import power_cell
-from agents.interest.selection import SELECTION_MARGIN, Ground, owners, select_peers
+from agents.interest.selection import SELECTION_MARGIN, KnownArena, owners, select_peers
 from agents.interest.tiles import Bounds, Rectangle
 from protocol.geometry import EMPTY, distances, rectangle
 
 ARENA = rectangle(200.0, 200.0)
-GROUND = Ground(ARENA, Bounds(reach=25.0, offset=7.0, radius=20.0), drift=5.0)
+GROUND = KnownArena(ARENA, Bounds(reach=25.0, offset=7.0, radius=20.0), drift=5.0)
 
 
 def table(places: np.ndarray, generators: np.ndarray) -> np.ndarray:
@@ -61,7 +61,7 @@ def test_without_a_cell_the_owner_of_the_place_is_heard(reach: float) -> None:
 def test_nobody_from_outside_the_needed_ground_can_own_or_see_what_matters() -> None:
     """Random swarms, and strangers outside of what a choice needs, as strong as any: none of them would have been chosen."""
     bounds = Bounds(reach=12.0, offset=4.0, radius=9.0)
-    ground = Ground(ARENA, bounds, drift=0.0)
+    ground = KnownArena(ARENA, bounds, drift=0.0)
     outside = 0
     for seed in range(40):
         print(f"seed {seed}")

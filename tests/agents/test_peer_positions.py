@@ -6,7 +6,7 @@ import numpy as np
 from agents.config import AgentConfig, TimingSettings
 from agents.gossip.table import announced_sensor
 from agents.interest.position_table import SENSOR_X, beacon_row
-from agents.interest.selection import Choice
+from agents.interest.selection import Selection
 from agents.interest.tiles import Rectangle
 from agents.membership.peer_table import PeerTable
 from protocol.fields import pack
@@ -46,7 +46,7 @@ def choose(found: PeerTable) -> None:
     found.forget_outside(-1, 100)
     table = found.positions.table(beacon_row(beacon("s1", 0, 0.0), "power"))
     everybody = [True] * len(found.positions)
-    found.choose(table, Choice(np.array(everybody), Rectangle(-50.0, -50.0, 50.0, 50.0)))
+    found.choose(table, Selection(np.array(everybody), Rectangle(-50.0, -50.0, 50.0, 50.0)))
 
 
 def eyes(found: PeerTable) -> dict[str, float]:
@@ -136,7 +136,7 @@ def test_a_gossip_of_a_peer_that_is_heard_no_more_stands_for_nobody_else() -> No
     found.close(0)
     assert [hear(found, gossip(name, 1)) for name in ("s2", "s4")] == [None] * 2
     table = found.positions.table(beacon_row(beacon("s1", 0, 0.0), "power"))
-    found.choose(table, Choice(np.array([name != "s4" for name in found.positions.names]), Rectangle(-50.0, -50.0, 50.0, 50.0)))
+    found.choose(table, Selection(np.array([name != "s4" for name in found.positions.names]), Rectangle(-50.0, -50.0, 50.0, 50.0)))
     assert found.missing(1) == {"s3"}
     found.close(1)
     assert found.any_missed() and found.inbox.newest("s3", 1) == gossip("s3", 0)

@@ -9,7 +9,7 @@ from agents.backend import PLAIN, Backend
 from agents.batched_round import claim_of
 from agents.config import AgentConfig, BirthSettings, FilterSettings, PartitionSettings
 from agents.coverage.cells import cut
-from agents.gossip.table import KAPPA, GossipTable
+from agents.gossip.table import CLUTTER_DENSITY, GossipTable
 from agents.tracking.births import Scan, measurement_births
 from agents.tracking.claims import end_to_end, make_claim
 from agents.tracking.merge import united
@@ -147,10 +147,12 @@ def test_beyond_the_gate_a_detection_says_nothing_of_a_particle(backend: Backend
 def test_clutter_density_is_the_expected_clutter_over_the_area() -> None:
     sensor = SENSOR_CLASSES["A"]
     right = 0.1 / (math.radians(240.0) / 2.0 * 8.0**2)
-    assert table([said("s1", POSE)], sensor).table[0, KAPPA] == pytest.approx(right, rel=1e-12)
+    assert table([said("s1", POSE)], sensor).table[0, CLUTTER_DENSITY] == pytest.approx(right, rel=1e-12)
     words = table_of([said("s1", POSE, (12.0, 30.0))])
     right = 2.0 / (math.pi / 2.0 * 20.0**2)
-    assert words.table[0, KAPPA] == pytest.approx(right, rel=1e-12) and words.scans()[0].clutter_density == pytest.approx(right, rel=1e-12)
+    assert words.table[0, CLUTTER_DENSITY] == pytest.approx(right, rel=1e-12) and words.scans()[0].clutter_density == pytest.approx(
+        right, rel=1e-12
+    )
 
 
 def test_an_id_that_is_told_and_copied_is_kept_once_as_it_was_told() -> None:

@@ -6,7 +6,7 @@ import msgspec
 import pytest
 
 from agents.membership.peer_table import COMPLETE_SET_HASH
-from agents.round import COPY_HORIZON
+from agents.round import COPY_DISTANCE
 from agents.tracking.belief import Copies
 from deploy.bench.simulations import crowd
 from deploy.scenario import FaultSettings, Scenario, resolve
@@ -72,7 +72,7 @@ def farthest_copy(interest: str) -> float:
 
 @pytest.mark.slow
 def test_who_hears_its_neighbours_keeps_no_copies_beyond_the_horizon() -> None:
-    assert farthest_copy("neighbours") <= COPY_HORIZON < 0.5 * farthest_copy("all")
+    assert farthest_copy("neighbours") <= COPY_DISTANCE < 0.5 * farthest_copy("all")
 
 
 def cell_of(said: Estimate) -> tuple[float, ...]:
