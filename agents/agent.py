@@ -17,8 +17,9 @@ from agents.backend import PLAIN, Backend
 from agents.config import AgentConfig
 from agents.coverage.keep_apart import keep_apart
 from agents.gossip import message_builders
+from agents.gossip_history import OpenRound
 from agents.interest.manager import InterestManager
-from agents.look_ahead import OpenRound, look_ahead
+from agents.look_ahead import look_ahead
 from agents.membership.announcements import REPLY_DELAY
 from agents.membership.listening import Listening
 from agents.membership.local_health import LocalHealth

@@ -11,9 +11,8 @@ from typing import NamedTuple
 import numpy as np
 
 from agents.backend import Backend
-from agents.coverage.cells import Cell
 from agents.gossip.table import GossipTable
-from agents.tracking.claims import Claim, make_claim
+from agents.tracking.claims import claim_of
 from agents.tracking.step import Step
 from agents.tracking.tracker import RegionInput, RegionUpdate, Tracker
 
@@ -55,8 +54,3 @@ def _computed(table: GossipTable, backend: Backend, tracker: Tracker, step: Step
         for row, (gossip, announced, cell) in enumerate(zip(table.gossips, table.sensors, cells))
     ]
     return BatchedRound(step, tracker, regions, [*tracker.update(table, table, regions, step)])
-
-
-def claim_of(cell: Cell, names: tuple[str, ...], generators: np.ndarray) -> Claim:
-    """A cell as generators, the own one first; `names` and `generators` (N, 3) are those of the diagram."""
-    return make_claim(tuple([names[index] for index in cell.bounding]), generators[[*cell.bounding]])

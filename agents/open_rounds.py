@@ -8,8 +8,9 @@ from collections.abc import Collection, Mapping, Sequence
 from functools import partial
 from operator import attrgetter
 
+from agents.gossip_history import GossipHistory, OpenRound
 from agents.lag import Lag
-from agents.look_ahead import GossipHistory, OpenRound, replayed_density
+from agents.look_ahead import replayed_density
 from agents.membership.peer import Peer
 from agents.round import AgentContext, Replay
 from agents.tracking.tracker import Belief

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from agents.backend import Backend
-from agents.batched_round import batched_round, claim_of
+from agents.batched_round import batched_round
 from agents.config import AgentConfig
 from agents.coverage.capacity import power_radius, unused_capacity
 from agents.coverage.control import STAND, ControlInput, ControlLaw, Intent, Situation, Surroundings, middle_of
@@ -24,7 +24,7 @@ from agents.gossip.table import REACH, AnnouncedSensor, GossipTable, announced_s
 from agents.interest.position_table import UnsubscribedGenerators
 from agents.membership.peer_table import COMPLETE_SET_HASH, PeerTable
 from agents.tracking.belief import ParticlePhd
-from agents.tracking.claims import NO_CLAIM, Claim
+from agents.tracking.claims import NO_CLAIM, Claim, claim_of
 from agents.tracking.extraction import NO_ESTIMATES, TargetEstimates
 from agents.tracking.gaussian_belief import MixturePhd
 from agents.tracking.step import Step

@@ -63,7 +63,7 @@ class BusEndpoint:
 
     node: Node
     label: str
-    place: int  # in the order in which nodes were added
+    number: int  # in the order in which nodes were added
     expressions: Counter[str] = field(default_factory=Counter)
     timer: float | None = None
     paused: bool = False
@@ -102,11 +102,11 @@ class BusEndpoint:
         most = self.node.most_observations
         if not most:
             return events
-        places = [place for place, event in enumerate(events) if isinstance(event, Received) and event.batch.kind is Observation]
-        old = set(places[:-most])
-        return [event for place, event in enumerate(events) if place not in old]
+        observed = [row for row, event in enumerate(events) if isinstance(event, Received) and event.batch.kind is Observation]
+        old = set(observed[:-most])
+        return [event for row, event in enumerate(events) if row not in old]
 
 
-def place_of(endpoint: BusEndpoint) -> int:
+def order_of_joining(endpoint: BusEndpoint) -> int:
     """Sort key: the order in which nodes were added to the bus."""
-    return endpoint.place
+    return endpoint.number

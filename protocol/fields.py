@@ -38,7 +38,7 @@ class Rows(NamedTuple):
     """The layout of an array on the wire: type of its numbers, numbers per row, and bytes of a row. The types of messages hold limits."""
 
     field: str
-    number: np.dtype
+    dtype: np.dtype
     columns: int
     size: int
 
@@ -51,7 +51,7 @@ class Rows(NamedTuple):
 
     def read(self, data: bytes) -> np.ndarray:
         """The rows, read-only: (N, columns), or (N,) if there is one column."""
-        flat = np.frombuffer(data, self.number)
+        flat = np.frombuffer(data, self.dtype)
         return flat.reshape(self.count(data), self.columns) if self.columns > 1 else flat
 
 
@@ -64,7 +64,7 @@ def check_rows(rows: Rows, data: bytes) -> int:
     if not data:
         return 0
     count = rows.count(data)
-    flat = np.frombuffer(data, rows.number)
+    flat = np.frombuffer(data, rows.dtype)
     if not np.vdot(flat, flat) < 0.5 * LARGEST_NUMBER**2 and not bool(np.all(np.abs(flat) <= LARGEST_NUMBER)):
         raise Malformed("range", f"{rows.field}: every number should be finite and within +-{LARGEST_NUMBER:g}")
     return count

@@ -26,13 +26,14 @@ import zenoh
 
 from protocol import codec, keys
 from protocol.access import common_name, secured
+from protocol.arrival_queue import Arrival, ArrivalQueue, DelayQueue
 from protocol.endpoints import check_endpoints, check_files, endpoint_error, on_any_port
-from protocol.inbox import Arrival, DelayQueue, Inbox, RateLimiter
 from protocol.link_faults import LiveLink
 from protocol.liveliness_tokens import ALONE_SECONDS, Tokens
 from protocol.message import Message
 from protocol.node import NO_EFFECTS, Effect, Event, Node, Reopen, Started, Stop, Subscribe, Timer, Unsubscribe, Warn
 from protocol.reception import Reception
+from protocol.sender_limits import RateLimiter
 from protocol.settings import BadSetting, NetworkSettings
 from protocol.so_linger import Sockets
 from protocol.stdin import follow_stdin
@@ -96,7 +97,7 @@ class Driver:
         self._node = node
         self._settings = settings
         # Faults of links count from the arrival on: with them no message waits for others of its kind.
-        self._inbox = Inbox(coalesced_keys=node.coalesced_keys if link is None else "")
+        self._inbox = ArrivalQueue(coalesced_keys=node.coalesced_keys if link is None else "")
         self._delays = None if link is None else DelayQueue(link, self._inbox)
         self._delay_timer: asyncio.TimerHandle | None = None
         self._rate_limiter = RateLimiter(settings.most_per_second)

@@ -7,12 +7,13 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from typing import NamedTuple
 
+from protocol.arrival_queue import Arrival
 from protocol.codec import decode_all
 from protocol.fields import Malformed
-from protocol.inbox import Arrival, Quarantine
 from protocol.liveliness_tokens import Tokens
 from protocol.message import Message
 from protocol.node import Batch, Event, Received, Rejected
+from protocol.sender_limits import Quarantine
 
 
 class Decoded(NamedTuple):

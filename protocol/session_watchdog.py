@@ -19,7 +19,7 @@ MOST_GUESTS = 4096  # agents with a token that are not expected: anybody can mak
 NEVER = -float("inf")
 
 
-class Rest:
+class AlarmRest:
     """The rest after an alarm, twice as long after each: false words of others must not keep a node busy."""
 
     def __init__(self) -> None:
@@ -50,7 +50,7 @@ class SessionWatchdog:
         self._listed_by: dict[str, dict[str, float]] = {}  # silent name -> peers that list it, and the time of their last Hello that did
         self._since: dict[str, float] = {}  # silent name -> time since which some peer lists it
         self._voters: set[str] = set()  # senders of the Hellos that `reason_to_reopen` has taken
-        self._rest = Rest()
+        self._rest = AlarmRest()
         self._calm_until = NEVER  # until then no expected name can be silent
 
     def note_messages(self, names: Iterable[str], now: float) -> None:

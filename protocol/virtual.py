@@ -14,7 +14,7 @@ from functools import partial
 from typing import Protocol
 
 from protocol import codec
-from protocol.delivery import MAILBOX_KINDS, BusEndpoint, Delivery, Item, MessageGroup, place_of
+from protocol.delivery import MAILBOX_KINDS, BusEndpoint, Delivery, Item, MessageGroup, order_of_joining
 from protocol.keys import is_of_tokens, message_key, tokens_of
 from protocol.message import Message
 from protocol.messages import Command, Gossip
@@ -61,10 +61,10 @@ class VirtualBus:
         self._later: list[tuple[float, int, _Entry]] = []
         self._sequence = 0
         self._frozen_until: float | None = None  # s; None: the nodes are not frozen
-        self._subscriptions: SubscriptionIndex[BusEndpoint] = SubscriptionIndex(place_of)  # of messages
+        self._subscriptions: SubscriptionIndex[BusEndpoint] = SubscriptionIndex(order_of_joining)  # of messages
         self._all_seeing: dict[BusEndpoint, None] = {}  # endpoints that see every token
         self._holders: dict[str, dict[BusEndpoint, None]] = {}  # endpoints by role and name, as part of the token key
-        self._watchers: SubscriptionIndex[BusEndpoint] = SubscriptionIndex(place_of)  # of tokens, for endpoints that do not see all of them
+        self._watchers: SubscriptionIndex[BusEndpoint] = SubscriptionIndex(order_of_joining)  # of tokens, but for `_all_seeing`
 
     def nodes(self) -> list[str]:
         """Labels of the nodes on the bus, paused ones included."""
@@ -107,7 +107,7 @@ class VirtualBus:
     def announce(self, event: Alive | Gone, delay: float = 0.0, to: Iterable[str] | None = None) -> None:
         """Show a token that appears or vanishes to all nodes but the subject, or to those named, if they subscribe to it."""
         named = {self._endpoints[label] for label in to if label in self._endpoints} if to is not None else self._endpoints.values()
-        for endpoint in sorted(named, key=place_of):
+        for endpoint in sorted(named, key=order_of_joining):
             node = endpoint.node
             subject = (node.role, node.name, node.incarnation) == (event.role, event.name, event.incarnation)
             if not subject and (node.sees_all_tokens or tokens_of(node.run, event.role, event.name) in endpoint.expressions):
@@ -331,7 +331,7 @@ class VirtualBus:
     def _watching(self, token: str) -> dict[BusEndpoint, None]:
         """The endpoints that see a token, in the order in which they were added."""
         watching = self._watchers.listeners(token)
-        return dict.fromkeys(sorted([*self._all_seeing, *watching], key=place_of)) if watching else self._all_seeing
+        return dict.fromkeys(sorted([*self._all_seeing, *watching], key=order_of_joining)) if watching else self._all_seeing
 
     def _publish(self, endpoint: BusEndpoint, message: Message) -> None:
         key = message_key(endpoint.node.run, message)

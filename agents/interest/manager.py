@@ -17,7 +17,7 @@ import numpy as np
 from agents.config import AgentConfig
 from agents.coverage.capacity import to_world
 from agents.coverage.control import ControlInput
-from agents.gossip.inbox import WINDOW_TICKS
+from agents.gossip.round_inbox import WINDOW_TICKS
 from agents.interest.position_table import GENERATOR_X, POWER_RADIUS, beacon_row
 from agents.interest.selection import BEACON_JUMP, BEACON_PERIOD, SELECTION_MARGIN, SELECTION_PERIOD, KnownArena, Selection
 from agents.interest.tiles import Bounds, Rectangle, TileBlock, Tiling
@@ -58,8 +58,9 @@ class InterestManager:
         drift = BEACON_JUMP + config.limits.speed * config.run.dt
         self._ground = KnownArena(context.arena, context.announced.bounds, drift)
         periods = BEACON_PERIOD, SELECTION_PERIOD, LINGER_SECONDS
-        self._period, self._between, self._linger = (max(1, round(seconds / config.run.dt)) for seconds in periods)
-        self._phase, self._turn = random_key("beacon", context.name) % self._period, 0  # of the beacon that each period brings; its number
+        self._period, self._selection_period, self._linger = (max(1, round(seconds / config.run.dt)) for seconds in periods)
+        self._phase = random_key("beacon", context.name) % self._period  # of the beacon that each period brings
+        self._period_number = 0  # of the newest beacon
         self._unknown_until = 0  # until this tick the others may not know this agent
         self._questions, self._join_at = 0, 0.0
         self._asking = True
@@ -82,7 +83,8 @@ class InterestManager:
             return []
         if observation.tick > 0:
             self._unknown_until = observation.tick + 2 * self._period
-        self.due, self._join_at, self._turn = now + ANSWER_SECONDS, now + JOIN_PERIODS * ANSWER_SECONDS, self._turn_of(observation.tick - 1)
+        self.due, self._join_at = now + ANSWER_SECONDS, now + JOIN_PERIODS * ANSWER_SECONDS
+        self._period_number = self._period_number_of(observation.tick - 1)
         tile = self._tiling.tile(observation.pose[:2])
         # the question reaches all agents that have subscribed to `FIRST_TILES` tiles around their own
         self._last_beacon = question(self._own_beacon(observation, outcome), tile)
@@ -183,13 +185,13 @@ class InterestManager:
 
     def _beacon_if_due(self, next_one: Beacon, gossip: Gossip) -> list[Effect]:
         """A beacon once in a period, and when the position, generator or bounds have jumped."""
-        turn = self._turn_of(gossip.tick)
-        if turn == self._turn and self._last_beacon and not _jumped(self._last_beacon, next_one):
+        number = self._period_number_of(gossip.tick)
+        if number == self._period_number and self._last_beacon and not _jumped(self._last_beacon, next_one):
             return []
-        self._turn, self._last_beacon = turn, next_one
+        self._period_number, self._last_beacon = number, next_one
         return [next_one]
 
-    def _turn_of(self, tick: int) -> int:
+    def _period_number_of(self, tick: int) -> int:
         """The number of the period in which a tick lies: no tick itself is sure to be played, at a slower pace for example."""
         return (tick + self._phase) // self._period
 
@@ -224,7 +226,7 @@ class InterestManager:
 
     def _reselect_if_due(self, next_one: Beacon, gossip: Gossip, outcome: RoundResult) -> list[Effect]:
         """Select peers anew if that is due."""
-        if gossip.tick < self._chosen_at + self._between and not self._peer_table.selection_outdated and len(outcome.cell):
+        if gossip.tick < self._chosen_at + self._selection_period and not self._peer_table.selection_outdated and len(outcome.cell):
             return []  # an empty cell may appear anywhere, so an agent without a cell selects in every round
         cell = self._first_cell(next_one, gossip.tick) if gossip.listening else outcome.cell  # a newcomer gets its first cell soon
         return self.reselect(cell, next_one, gossip.tick)

@@ -173,4 +173,4 @@ class PositionTable:
 
     def _has_position(self, peer: Peer) -> bool:
         """Whether a peer has a position: it has not gone, its sensor is known, and it has not been silent for long."""
-        return peer.refused_until is None and peer.announced is not None and peer.missed < self.silence_limit
+        return not peer.is_gone and peer.announced is not None and peer.silent_rounds < self.silence_limit

@@ -12,12 +12,12 @@ from collections.abc import Callable, Collection, Iterable
 from typing import NamedTuple
 
 from protocol.messages import Gossip
-from protocol.session_watchdog import NEVER, PATIENCE, Rest
+from protocol.session_watchdog import NEVER, PATIENCE, AlarmRest
 
 Place = tuple[float, float]  # x, y, m
 
 
-class Since(NamedTuple):
+class Beginning(NamedTuple):
     """When something began: the tick, and `now` in s."""
 
     tick: int
@@ -30,8 +30,8 @@ class HalfOpenLinkDetector:
     def __init__(self, name: str, timeout: int) -> None:
         """`timeout`: ticks for which a peer must be named. `PATIENCE` s of `now` must pass as well: in lockstep ticks are short."""
         self._name, self._timeout = name, timeout
-        self._named: dict[str, Since] = {}
-        self._rest = Rest()
+        self._named: dict[str, Beginning] = {}
+        self._rest = AlarmRest()
 
     def find_unheard(
         self, gossips: Iterable[Gossip], known: Collection[str], is_covered: Callable[[Place], bool], tick: int, now: float
@@ -43,7 +43,7 @@ class HalfOpenLinkDetector:
         heard, own = list(gossips), {self._name}
         unknown = set().union(*[gossip.claim_names for gossip in heard]).difference(known, own)  # as a rule it is empty
         named = {
-            name: self._named.get(name, Since(tick, now))
+            name: self._named.get(name, Beginning(tick, now))
             for gossip in heard
             for name in unknown.intersection(gossip.claim_names)
             if is_covered(_place(gossip, name))
@@ -64,13 +64,13 @@ class WorldLinkDetector:
     """
 
     def __init__(self) -> None:
-        self._since = Since(-1, NEVER)
-        self._rest = Rest()
+        self._since = Beginning(-1, NEVER)
+        self._rest = AlarmRest()
 
     def should_reopen(self, tick: int, now: float) -> bool:
         """Note that a gossip is more than one tick ahead of the own `tick`; whether the session is to be opened anew."""
         if tick != self._since.tick or now < self._since.now:
-            self._since = Since(tick, now)
+            self._since = Beginning(tick, now)
         if now - self._since.now < PATIENCE or not self._rest.is_over(now):
             return False
         self._rest.begin(now)

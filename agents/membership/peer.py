@@ -21,7 +21,7 @@ class Peer:
     token: bool = False  # its liveliness token is up
     announced: AnnouncedSensor | None = None
     refused_until: int | None = None  # its token has vanished: a gossip of a later tick revives the peer; None: it is there
-    missed: int = 0  # rounds without a gossip in a row
+    silent_rounds: int = 0  # in a row, without a gossip of it
     suspected: bool = False  # its token vanished while this agent was late itself
     beacon: Beacon | None = None  # the newest one
     rank: tuple[int, str] = (0, "")  # sorts peers in the order of names
@@ -30,15 +30,20 @@ class Peer:
     def __post_init__(self) -> None:
         self.rank = order(self.name)
 
+    @property
+    def is_gone(self) -> bool:
+        """Whether its token has vanished, and no later gossip has revived it."""
+        return self.refused_until is not None
+
     def note_life(self, tick: int, least_silence: int, *, is_wrong: bool) -> bool:
         """Note a message of `tick`, which lifts a suspicion; whether the peer is back: it was gone, or silent for `least_silence` rounds.
 
         A tick that `is_wrong`, as it lies far ahead, ends no silence and brings nobody back.
         """
         self.suspected, was_gone = False, self.refused_until is not None and tick > self.refused_until
-        if is_wrong or not (was_gone or self.missed >= least_silence):
+        if is_wrong or not (was_gone or self.silent_rounds >= least_silence):
             return False
-        self.refused_until, self.missed = None if was_gone else self.refused_until, 0
+        self.refused_until, self.silent_rounds = None if was_gone else self.refused_until, 0
         return True
 
 
@@ -67,7 +72,7 @@ def same_sensor(one: Beacon, other: Beacon) -> bool:
 def all_acceptable(peers: Iterable[Peer], neighbours_only: bool) -> bool:
     """Whether every well-formed gossip of the next tick by these peers will be accepted. With `neighbours_only` not all tokens are seen."""
     return all(
-        peer.refused_until is None and not peer.missed and peer.announced is not None and (peer.token or neighbours_only) for peer in peers
+        not peer.is_gone and not peer.silent_rounds and peer.announced is not None and (peer.token or neighbours_only) for peer in peers
     )
 
 

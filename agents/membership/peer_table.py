@@ -22,7 +22,7 @@ from operator import attrgetter
 import numpy as np
 
 from agents.config import AgentConfig
-from agents.gossip.inbox import RoundInbox
+from agents.gossip.round_inbox import RoundInbox
 from agents.interest.position_table import GENERATOR_X, NO_GENERATORS, POWER_RADIUS, PositionTable, UnsubscribedGenerators
 from agents.interest.selection import Selection
 from agents.membership.agreement import SettingsAgreement
@@ -69,7 +69,7 @@ class PeerTable:
         """A token appeared."""
         peer = self._get_or_create(name, incarnation, token=True)
         if peer:
-            self.selection_outdated |= peer.refused_until is not None
+            self.selection_outdated |= peer.is_gone
             self._strangers.pop(name, None)
             peer.token, peer.refused_until, peer.suspected = True, None, False
             if peer.beacon is not None:
@@ -184,7 +184,7 @@ class PeerTable:
             return "dead"
         if not plausible(gossip, peer.announced, self._config.arena):
             return "implausible"
-        was_gone = peer.refused_until is not None
+        was_gone = peer.is_gone
         if peer.note_life(tick, 1, is_wrong=self.inbox.is_far_ahead(tick)):
             self.selection_outdated |= was_gone
         return ACCEPTED
@@ -192,7 +192,7 @@ class PeerTable:
     def fresh(self, tick: int) -> dict[str, Gossip]:
         """The gossips of `tick` by live peers, in the order of names."""
         gossips = self.inbox.of(tick)
-        return {name: gossips[name] for name, peer in self.interest_set.items() if name in gossips and peer.refused_until is None}
+        return {name: gossips[name] for name, peer in self.interest_set.items() if name in gossips and not peer.is_gone}
 
     def missing(self, tick: int, *, newcomer: bool = False) -> set[str]:
         """The peers whose gossip of `tick` is missing: alive, heard before, and not silent for long.
@@ -211,11 +211,11 @@ class PeerTable:
             return {
                 name
                 for name, peer in self.interest_set.items()
-                if peer.refused_until is None and peer.missed < self._silence_limit and name not in gossips
+                if not peer.is_gone and peer.silent_rounds < self._silence_limit and name not in gossips
             }
         limit = self._silence_limit
         others = [peer for name, peer in self.interest_set.items() if name not in gossips and (peer.token or peer.suspected)]
-        return {peer.name for peer in others if (peer.missed < limit if self.inbox.knows(peer.name) else newcomer or tick == 0)}
+        return {peer.name for peer in others if (peer.silent_rounds < limit if self.inbox.knows(peer.name) else newcomer or tick == 0)}
 
     def generator_gossips(self, tick: int, fresh: dict[str, Gossip]) -> dict[str, Gossip]:
         """For each generator of the diagram of `tick` the gossip that states it.
@@ -236,7 +236,7 @@ class PeerTable:
 
     def _newest_known(self, tick: int, fresh: dict[str, Gossip]) -> dict[str, Gossip]:
         """The newest gossip of each live peer that is not `fresh`; its generator is that of the newest claim that names it, if newer."""
-        live = [name for name, peer in self.interest_set.items() if peer.refused_until is None and name not in fresh]
+        live = [name for name, peer in self.interest_set.items() if not peer.is_gone and name not in fresh]
         found = {name: gossip for name in live if (gossip := self.inbox.newest(name, tick)) is not None}
         found |= {name: known for name, known in self._last_known.items() if name in found and known.tick > found[name].tick}
         newest = [fresh.get(name) or self.inbox.newest(name, tick) for name in self.interest_set] if found else []
@@ -283,7 +283,7 @@ class PeerTable:
     def slow_paces(self) -> list[int]:
         """The paces that peers have stated last, where they do not share every tick. Those that have left or fallen silent do not count."""
         peers = [(self.interest_set.get(name), pace) for name, pace in self._paces.items()]
-        return [pace for peer, pace in peers if peer is not None and peer.refused_until is None and peer.missed < self._silence_limit]
+        return [pace for peer, pace in peers if peer is not None and not peer.is_gone and peer.silent_rounds < self._silence_limit]
 
     def keep_pace(self, pace: int) -> None:
         """From now on share the ticks that `pace` divides: a silence of some seconds lasts fewer rounds."""
@@ -294,13 +294,13 @@ class PeerTable:
     def _count_silent(self, missing: set[str]) -> None:
         """Count a round of silence of each missing peer."""
         for name in missing:
-            self.peers[name].missed += 1
-            if self.peers[name].missed >= self._silence_limit:
+            self.peers[name].silent_rounds += 1
+            if self.peers[name].silent_rounds >= self._silence_limit:
                 self.silence_timeouts += 1
 
     def unheard(self) -> list[str]:
         """The peers in the interest set that this agent itself has not heard for too long, in the order of names."""
-        return [name for name, peer in self.interest_set.items() if peer.missed >= self._silence_limit]
+        return [name for name, peer in self.interest_set.items() if peer.silent_rounds >= self._silence_limit]
 
     def _forget_silent(self, tick: int) -> None:
         """Neighbours only: forget the positions of silent peers that are no generators of the round after `tick`."""
@@ -312,7 +312,7 @@ class PeerTable:
 
     def any_missed(self) -> bool:
         """Whether some peer was silent in the last round."""
-        return not self._all_acceptable and any(peer.missed for peer in self.interest_set.values())
+        return not self._all_acceptable and any(peer.silent_rounds for peer in self.interest_set.values())
 
     def is_roster_alive(self) -> bool:
         """Whether the tokens of all others of the roster are up; neighbours only: always, as no other agent is awaited."""
@@ -421,7 +421,7 @@ class PeerTable:
         if peer is not None and peer.incarnation == incarnation:
             return peer
         younger = peer is not None and incarnation > peer.incarnation and (token or not peer.token)
-        guessed = peer is not None and token and not (peer.token or peer.suspected or peer.refused_until is not None)
+        guessed = peer is not None and token and not (peer.token or peer.suspected or peer.is_gone)
         if peer is None or younger or guessed:
             is_new, peer = peer is None, Peer(name, incarnation)
             self.positions.remove(name)

@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from agents.coverage.cells import Cell
 from agents.tracking.particles import squared_distances
 from protocol.keys import order
 from protocol.settings import ArenaSettings
@@ -35,6 +36,11 @@ def make_claim(names: tuple[str, ...], generators: np.ndarray) -> Claim:
         return NO_CLAIM
     ranks = [order(name) for name in names]
     return Claim(names, generators, np.array([rank < ranks[0] for rank in ranks], dtype=bool))
+
+
+def claim_of(cell: Cell, names: tuple[str, ...], generators: np.ndarray) -> Claim:
+    """A cell as generators, the own one first; `names` and `generators` (N, 3) are those of the diagram."""
+    return make_claim(tuple([names[index] for index in cell.bounding]), generators[[*cell.bounding]])
 
 
 class Claims(NamedTuple):

@@ -6,7 +6,7 @@ from functools import partial
 from typing import Any
 
 from agents.backend import Backend
-from agents.gossip.inbox import RoundInbox
+from agents.gossip.round_inbox import RoundInbox
 from agents.gossip.table import announced_sensor, forget, gossip_table, newest_table
 from agents.membership.peer_table import PeerTable
 from agents.round import run_round

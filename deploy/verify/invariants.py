@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from agents.agent import Agent
-from agents.gossip.inbox import WINDOW_TICKS, RoundInbox
+from agents.gossip.round_inbox import WINDOW_TICKS, RoundInbox
 from agents.round import RoundResult
 from agents.tracking import gaussian_belief
 from agents.tracking.belief import MOST_COPIES, owned_by_sender
@@ -301,7 +301,7 @@ def check_diagram(agent: Agent, since: int) -> None:
     belief, peer_table = agent.outcome.belief, agent.peer_table
     for name, peer in peer_table.interest_set.items():
         last = peer_table.inbox.newest_closed.get(name)
-        if last is None or last.incarnation != peer.incarnation or last.listening or not peer.token or peer.refused_until is not None:
+        if last is None or last.incarnation != peer.incarnation or last.listening or not peer.token or peer.is_gone:
             continue
         need(
             last.tick < since or name in belief.generator_names,
@@ -336,7 +336,7 @@ def fingerprint(agent: Agent) -> Fingerprint:
     """The print of an agent; taking it changes nothing about how the agent keeps its gossips."""
     peer_table = agent.peer_table
     peers = {
-        name: (peer.incarnation, peer.token, peer.refused_until, peer.missed, Identity(peer.announced), peer.suspected, peer.differs)
+        name: (peer.incarnation, peer.token, peer.refused_until, peer.silent_rounds, Identity(peer.announced), peer.suspected, peer.differs)
         for name, peer in peer_table.peers.items()
     }
     return Fingerprint(agent.tick, Identity(agent.outcome), peers, held(peer_table.inbox))

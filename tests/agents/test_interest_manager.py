@@ -70,9 +70,9 @@ def test_a_beacon_of_a_peer_that_was_given_up_is_a_return() -> None:
     peers = PeerTable(CONFIG, "s1")
     assert peers.take_beacon(beacon("s2", 0, 30.0))
     assert not peers.take_beacon(beacon("s2", 1, 30.0))
-    peers.peers["s2"].missed, peers.selection_outdated = CONFIG.ticks_of_silence, False
+    peers.peers["s2"].silent_rounds, peers.selection_outdated = CONFIG.ticks_of_silence, False
     assert peers.take_beacon(beacon("s2", 9, 30.0))
-    assert (peers.peers["s2"].missed, peers.selection_outdated) == (0, True)
+    assert (peers.peers["s2"].silent_rounds, peers.selection_outdated) == (0, True)
 
 
 def test_a_question_of_a_known_peer_is_answered_and_states_its_position() -> None:

@@ -121,4 +121,4 @@ def test_a_lost_body_is_suspected_as_a_lost_agent_is(now: float, is_gone: bool) 
     agent.handle(Alive("body", "s2", 1), 0.6)
     agent.handle(Gone("body", "s2", 1), now)
     peer = agent.peer_table.peers["s2"]
-    assert (peer.refused_until is not None, peer.suspected) == (is_gone, not is_gone)
+    assert (peer.is_gone, peer.suspected) == (is_gone, not is_gone)

@@ -4,7 +4,7 @@ import msgspec
 import pytest
 
 from agents.config import AgentConfig
-from agents.gossip.inbox import WINDOW_TICKS
+from agents.gossip.round_inbox import WINDOW_TICKS
 from agents.membership.peer_table import MOST_STRANGERS, PeerTable
 from protocol.messages import Gossip, Hello
 from protocol.node import Batch
@@ -61,8 +61,8 @@ def test_at_every_pace_the_gossip_of_the_next_tick_ends_a_silence(pace: int) -> 
     hear(peers, gossip("s2", pace))
     peers.close(pace)
     peers.close(2 * pace)
-    assert peers.peers["s2"].missed == 1
-    assert hear(peers, gossip("s2", 3 * pace)) is None and peers.peers["s2"].missed == 0
+    assert peers.peers["s2"].silent_rounds == 1
+    assert hear(peers, gossip("s2", 3 * pace)) is None and peers.peers["s2"].silent_rounds == 0
 
 
 def test_a_peer_that_says_ticks_far_ahead_pushes_out_nobody_elses_gossips() -> None:

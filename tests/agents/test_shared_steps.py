@@ -6,12 +6,11 @@ import numpy as np
 import pytest
 
 from agents.backend import PLAIN, Backend
-from agents.batched_round import claim_of
 from agents.config import AgentConfig, BirthSettings, FilterSettings, PartitionSettings
 from agents.coverage.cells import cut
 from agents.gossip.table import CLUTTER_DENSITY, GossipTable
 from agents.tracking.births import Scan, measurement_births
-from agents.tracking.claims import end_to_end, make_claim
+from agents.tracking.claims import claim_of, end_to_end, make_claim
 from agents.tracking.merge import united
 from agents.tracking.particles import NO_PARTICLES, Particles, unlabelled
 from agents.tracking.phd import sample_offset

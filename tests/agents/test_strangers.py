@@ -5,7 +5,7 @@ import pytest
 
 from agents.agent import Agent
 from agents.config import TimingSettings
-from agents.gossip.inbox import WINDOW_TICKS
+from agents.gossip.round_inbox import WINDOW_TICKS
 from agents.membership.agreement import MOST_WARNINGS
 from agents.membership.peer_table import MOST_STRANGERS
 from protocol.fields import MAX_NAMES

@@ -7,7 +7,7 @@ import pytest
 
 from agents.agent import Agent
 from agents.config import AgentConfig, TimingSettings
-from agents.gossip.inbox import WINDOW_TICKS
+from agents.gossip.round_inbox import WINDOW_TICKS
 from agents.gossip.table import GossipTable
 from agents.look_ahead import look_ahead
 from agents.tracking.belief import ParticlePhd

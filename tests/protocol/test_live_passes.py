@@ -6,7 +6,7 @@ import threading
 import pytest
 
 from protocol import codec, keys, live
-from protocol.inbox import Arrival
+from protocol.arrival_queue import Arrival
 from protocol.link_faults import LinkCondition, LinkConditions, LiveLink, as_line
 from protocol.message import Message
 from protocol.messages import Hello

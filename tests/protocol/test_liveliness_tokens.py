@@ -5,7 +5,7 @@ from collections import Counter
 import pytest
 
 from protocol import codec
-from protocol.inbox import Arrival
+from protocol.arrival_queue import Arrival
 from protocol.keys import Token, token_key
 from protocol.liveliness_tokens import MOST_INCARNATIONS, MOST_NAMES, Tokens
 from protocol.messages import Hello

@@ -3,7 +3,7 @@
 from collections import Counter
 
 from protocol import codec
-from protocol.inbox import Arrival
+from protocol.arrival_queue import Arrival
 from protocol.keys import Token, message_key, token_key
 from protocol.liveliness_tokens import Tokens
 from protocol.messages import Command

@@ -13,7 +13,7 @@ import pytest
 from agents import round as rounds
 from agents.backend import PLAIN
 from agents.gossip import message_builders
-from agents.gossip.inbox import RoundInbox
+from agents.gossip.round_inbox import RoundInbox
 from agents.gossip.table import WEIGHT, GossipTable
 from agents.membership.membership import Membership
 from agents.membership.peer_table import Peer, PeerTable

@@ -100,7 +100,7 @@ def test_a_slow_agent_is_waited_for_and_not_declared_dead() -> None:
     print(f"{left_out} ticks left out, {agent.counters['spared']} of them in step")
     assert ledger_is_kept(very_slow, 16.0)
     for name, other in very_slow.agents.items():
-        assert name == "s2" or other.peer_table.peers["s2"].missed < 4
+        assert name == "s2" or other.peer_table.peers["s2"].silent_rounds < 4
 
 
 def test_of_two_processes_with_one_name_the_older_stops_itself_with_code_3() -> None:

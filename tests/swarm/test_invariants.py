@@ -7,7 +7,7 @@ import msgspec
 import pytest
 
 from agents.agent import Agent
-from agents.gossip.inbox import WINDOW_TICKS
+from agents.gossip.round_inbox import WINDOW_TICKS
 from deploy.scenario import resolve
 from deploy.simulation import Simulation
 from deploy.verify.invariants import (

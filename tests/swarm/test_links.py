@@ -28,7 +28,7 @@ def test_at_ten_per_cent_loss_nobody_is_taken_for_dead() -> None:
     worst: list[int] = []
 
     def look(tick: int, simulation: Simulation) -> None:
-        worst.append(max(peer.missed for agent in simulation.agents.values() for peer in agent.peer_table.peers.values()))
+        worst.append(max(peer.silent_rounds for agent in simulation.agents.values() for peer in agent.peer_table.peers.values()))
 
     scenario = ledger(fault(0.0, "drop", "100%", 0.1), run__seconds=60.0)
     watch(scenario, clock="realtime", at_tick=look)

@@ -12,7 +12,7 @@ from agents.backend import PLAIN
 from agents.config import ExtractionSettings
 from agents.coverage.control import ControlInput, ControlLaw, Situation
 from agents.gossip.table import announced_sensor, gossip_table
-from agents.look_ahead import GossipHistory
+from agents.gossip_history import GossipHistory
 from agents.round import context_of
 from agents.tracking.belief import owned_by_sender
 from agents.tracking.births import background_births

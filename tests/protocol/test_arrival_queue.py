@@ -4,8 +4,9 @@ import math
 
 import pytest
 
-from protocol.inbox import Arrival, DelayQueue, Inbox, Quarantine, RateLimiter
+from protocol.arrival_queue import Arrival, ArrivalQueue, DelayQueue
 from protocol.link_faults import LinkCondition, LinkConditions, LiveLink, as_line
+from protocol.sender_limits import Quarantine, RateLimiter
 
 UNKNOWN = object()  # an origin that cannot say which session it is
 
@@ -15,7 +16,7 @@ def payloads(batch: list[Arrival]) -> list[bytes]:
 
 
 def test_the_loop_is_called_once_until_it_finds_the_inbox_empty() -> None:
-    inbox = Inbox()
+    inbox = ArrivalQueue()
     assert inbox.add(Arrival("a", b"1"))
     assert not inbox.add(Arrival("a", b"2"))
     assert payloads(inbox.take(1)) == [b"1"]
@@ -26,7 +27,7 @@ def test_the_loop_is_called_once_until_it_finds_the_inbox_empty() -> None:
 
 
 def test_an_overflowing_inbox_keeps_the_newest_message_of_every_key_in_order_of_arrival() -> None:
-    inbox = Inbox(most_entries=4)
+    inbox = ArrivalQueue(most_entries=4)
     for key, payload in [("a", b"a1"), ("b", b"b1"), ("a", b"a2"), ("a", b"a3"), ("a", b"a4")]:
         inbox.add(Arrival(key, payload))
     assert payloads(inbox.take(9)) == [b"b1", b"a4"]
@@ -34,7 +35,7 @@ def test_an_overflowing_inbox_keeps_the_newest_message_of_every_key_in_order_of_
 
 
 def test_with_too_many_keys_the_older_half_goes_but_no_token() -> None:
-    inbox = Inbox(most_entries=4)
+    inbox = ArrivalQueue(most_entries=4)
     inbox.add(Arrival("token", token=True))
     for number in range(4):
         inbox.add(Arrival(f"k{number}", bytes([number])))
@@ -44,7 +45,7 @@ def test_with_too_many_keys_the_older_half_goes_but_no_token() -> None:
 
 
 def test_the_inbox_never_holds_more_bytes_than_allowed() -> None:
-    inbox = Inbox(most_entries=1000, most_bytes=100)
+    inbox = ArrivalQueue(most_entries=1000, most_bytes=100)
     for number in range(200):
         inbox.add(Arrival(f"k{number}", bytes(10)))
         assert 10 * len(inbox) <= 100
@@ -52,7 +53,7 @@ def test_the_inbox_never_holds_more_bytes_than_allowed() -> None:
 
 
 def test_what_was_taken_makes_room_though_the_inbox_is_never_empty() -> None:
-    inbox = Inbox(most_entries=1000, most_bytes=1000)
+    inbox = ArrivalQueue(most_entries=1000, most_bytes=1000)
     for _ in range(3):
         inbox.add(Arrival("k", bytes(10)))
     for _ in range(400):
@@ -88,7 +89,7 @@ def test_the_quarantine_remembers_a_bounded_number_of_sources() -> None:
 
 
 def test_of_keys_of_which_only_the_newest_counts_nothing_older_is_handed_out() -> None:
-    inbox = Inbox()
+    inbox = ArrivalQueue()
     for key, payload in [("c/r/observation/s1", b"1"), ("c/r/gossip/s2", b"a"), ("c/r/observation/s1", b"2"), ("c/r/gossip/s2", b"b")]:
         inbox.add(Arrival(key, payload))
     assert payloads(inbox.take(2, 1)) == [b"a"]  # a newer observation is in the second half
@@ -97,7 +98,7 @@ def test_of_keys_of_which_only_the_newest_counts_nothing_older_is_handed_out() -
 
 
 def test_of_such_keys_as_many_messages_as_are_needed_are_handed_out() -> None:
-    inbox = Inbox()
+    inbox = ArrivalQueue()
     for number in range(5):
         inbox.add(Arrival("c/r/observation/s1", bytes([number])))
     assert payloads(inbox.take(3, 3)) == [b"\x02"]
@@ -106,7 +107,7 @@ def test_of_such_keys_as_many_messages_as_are_needed_are_handed_out() -> None:
 
 
 def test_what_another_session_says_under_a_key_makes_nothing_void() -> None:
-    inbox = Inbox(most_entries=4)
+    inbox = ArrivalQueue(most_entries=4)
     inbox.add(Arrival("c/r/observation/s1", b"1", "world"))
     for number in range(8):
         inbox.add(Arrival("c/r/observation/s1", bytes([number]), "vandal"))
@@ -156,7 +157,7 @@ def test_of_too_many_suspect_keys_the_one_that_was_quiet_for_longest_is_forgotte
 
 
 def test_patient_messages_call_the_loop_only_once_enough_of_them_have_come() -> None:
-    inbox = Inbox(coalesced_keys="/gossip/")
+    inbox = ArrivalQueue(coalesced_keys="/gossip/")
     assert not inbox.finish_pass(3)
     assert not inbox.add(Arrival("c/r/gossip/s1", b"1"))
     assert not inbox.add(Arrival("c/r/gossip/s2", b"2"))
@@ -169,7 +170,7 @@ def test_patient_messages_call_the_loop_only_once_enough_of_them_have_come() -> 
 
 def test_any_other_message_and_any_token_calls_the_loop_at_once() -> None:
     for urgent in (Arrival("c/r/observation/s1", b"1"), Arrival("c/r/alive/agent/s2/1", token=False)):
-        inbox = Inbox(coalesced_keys="/gossip/")
+        inbox = ArrivalQueue(coalesced_keys="/gossip/")
         assert not inbox.finish_pass(9)
         assert not inbox.add(Arrival("c/r/gossip/s1", b"1"))
         assert inbox.add(urgent)
@@ -178,7 +179,7 @@ def test_any_other_message_and_any_token_calls_the_loop_at_once() -> None:
 
 
 def test_what_overflows_is_no_longer_waited_for() -> None:
-    inbox = Inbox(most_entries=4, coalesced_keys="/gossip/")
+    inbox = ArrivalQueue(most_entries=4, coalesced_keys="/gossip/")
     inbox.finish_pass(5)
     woken = [inbox.add(Arrival("c/r/gossip/s1", bytes([number]))) for number in range(6)]
     assert not any(woken)
@@ -186,14 +187,14 @@ def test_what_overflows_is_no_longer_waited_for() -> None:
     assert not inbox.finish_pass(1)
 
 
-def delay_queue(inbox: Inbox, **conditions: LinkCondition) -> DelayQueue:
+def delay_queue(inbox: ArrivalQueue, **conditions: LinkCondition) -> DelayQueue:
     link = LiveLink(1, "z")
     link.on_line(as_line(LinkConditions(conditions=conditions)))
     return DelayQueue(link, inbox)
 
 
 def test_the_event_loop_is_called_for_what_is_due_sooner_than_all_the_rest() -> None:
-    inbox = Inbox()
+    inbox = ArrivalQueue()
     queue = delay_queue(inbox, a=LinkCondition(delay=0.5), b=LinkCondition(delay=0.125))
     assert queue.add(Arrival("covey/r/gossip/a", b"1"), 0.0)
     assert not queue.add(Arrival("covey/r/gossip/a", b"2"), 0.0)
@@ -206,7 +207,7 @@ def test_the_event_loop_is_called_for_what_is_due_sooner_than_all_the_rest() -> 
 
 
 def test_what_is_due_enters_the_inbox_and_its_bounds_though_the_event_loop_does_not_come() -> None:
-    inbox = Inbox(most_entries=4)
+    inbox = ArrivalQueue(most_entries=4)
     queue = delay_queue(inbox, a=LinkCondition(delay=0.5))
     called = [queue.add(Arrival("covey/r/gossip/a", bytes([number])), 0.125 * number) for number in range(40)]
     assert called == [number in (0, 4) for number in range(40)]  # to set a timer, and to read what is due
@@ -215,7 +216,7 @@ def test_what_is_due_enters_the_inbox_and_its_bounds_though_the_event_loop_does_
 
 
 def test_a_throttled_link_counts_from_the_arrival() -> None:
-    inbox = Inbox()
+    inbox = ArrivalQueue()
     queue = delay_queue(inbox, a=LinkCondition(throttle=8.0))  # a kilobyte a second
     for now in (0.0, 0.25, 1.0):
         queue.add(Arrival("covey/r/gossip/a", bytes(500)), now)
