@@ -29,13 +29,20 @@ class SensorFacts(NamedTuple):
     cod_offset: tuple[float, float]
 
 
-@lru_cache(maxsize=1024)
 def sensor_facts(sensor: SensorModel) -> SensorFacts:
     """D in m^2 (6) and the COD in the frame of the sensor, m (14): closed form for wedges, midpoint quadrature otherwise.
 
     Raises BadSetting if the detection probability is 0 at all points of the quadrature, or above 0 at fewer than `_LEAST_SEEN`.
-    A pure memo: many agents carry sensors of one class.
     """
+    found = _facts_or_reason(sensor)
+    if isinstance(found, str):
+        raise BadSetting(found)
+    return found
+
+
+@lru_cache(maxsize=1024)
+def _facts_or_reason(sensor: SensorModel) -> SensorFacts | str:
+    """What `sensor_facts` returns, or why it raises; a pure memo: many agents carry sensors of one class, and say so again and again."""
     if isinstance(sensor, WedgeSensor):
         half, fall = sensor.angle / 2.0, sensor.far_probability / sensor.prob_detection
         mean, outwards = (1.0 + 2.0 * fall) / 3.0, 0.75 * (1.0 + 3.0 * fall) / (1.0 + 2.0 * fall)  # both 1 for a constant p_d
@@ -47,12 +54,12 @@ def sensor_facts(sensor: SensorModel) -> SensorFacts:
     probability = sensor.probability(points, _AT_REST)
     detected = total(probability)
     if not detected > 0.0:
-        raise BadSetting(f"{sensor}: the detection probability is 0 everywhere within its reach of {sensor.reach} m")
+        return f"{sensor}: the detection probability is 0 everywhere within its reach of {sensor.reach} m"
     seen = points[probability > 0.0]
     if len(seen) < _LEAST_SEEN:
         farthest = f"the farthest at {np.sqrt((seen * seen).sum(axis=1)).max():.3g} m"
         few = f"only {len(seen)} of {_GRID} x {_GRID} places within its reach of {sensor.reach:g} m are seen, {farthest}"
-        raise BadSetting(f"{sensor}: {few}: its reach is too far, or its beam too narrow, to compute with")
+        return f"{sensor}: {few}: its reach is too far, or its beam too narrow, to compute with"
     x, y = (total(probability * points[:, axis]) / detected for axis in (0, 1))
     return SensorFacts(detected * step * step, (x, y))
 
