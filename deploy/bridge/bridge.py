@@ -1,7 +1,7 @@
 """The bridge of one agent: what its robot says in ROS 2 becomes its body in the swarm, and what the agent commands becomes cmd_vel.
 
 /s3/odom        nav_msgs/Odometry            in   where the robot is
-/s3/detections  geometry_msgs/PoseArray      in   what its sensor found, in the odometry's frame or in the robot's own, as its header says
+/s3/detections  geometry_msgs/PoseArray      in   what its sensor found and when, in the frame of the odometry or of the robot
 /s3/cmd_vel     geometry_msgs/Twist          out  20 times a second, in the robot's own frame
 /s3/targets     geometry_msgs/PoseArray      out  the targets that the agent believes in, in the arena's frame, `map`
 /s3/cell        geometry_msgs/PolygonStamped out  its cell
@@ -23,7 +23,8 @@ import msgpack
 
 from deploy.bridge.body import RobotBody
 from deploy.bridge.client import Heard, Participant
-from deploy.bridge.frames import Placement, Planar, heading_of, moved, placed, wheels
+from deploy.bridge.frames import Planar, heading_of, moved, placed, wheels
+from deploy.bridge.odometry import Odometry
 from deploy.bridge.ros import RosNode, message
 from deploy.bridge.settings import BridgeOptions, Wrong, check, read_run
 from deploy.bridge.watchdog import BridgeWatchdog
@@ -49,9 +50,10 @@ class Bridge:
         self._limit = rules.turn_rate
         self.body = RobotBody(rules, self._client.incarnation, self._client.say, self._client.appear)
         self._watchdog = BridgeWatchdog(rules.expected)
-        self._axle: Placement = (0.0, 0.0, 0.0)  # of the robot, in the arena's frame
+        self._axle = Odometry()  # of the robot, in the arena's frame
         self._frames: tuple[str, str] | None = None  # names of the odometry's frame and of the robot's own, once it has said them
         self._foreign: set[str] = set()  # other frames that scans have named
+        self._is_stamp_told = False  # that a scan was of another time than all odometry
         self._moves = threading.Lock()  # odometry comes in a thread of Zenoh
         for heard in kept(options.keep):
             self.body.hear(heard, 0.0)
@@ -98,19 +100,27 @@ class Bridge:
         if not all(map(math.isfinite, axle)):
             return  # the body soon stands for want of odometry
         with self._moves:
-            self._frames, self._axle = (said.header.frame_id, said.child_frame_id), axle
+            self._frames = said.header.frame_id, said.child_frame_id
+            self._axle.note(stamp_of(said.header), axle)
             self.body.at(placed(axle, (offset, 0.0, 0.0)), time.monotonic())
 
     def _on_detections(self, said: Any) -> None:
-        """Note a scan in the odometry's frame or the robot's own, as its header says. There is no other, for nobody says where it lies."""
-        named = said.header.frame_id
+        """Note a scan in the odometry's frame or the robot's own, as its header says. There is no other, for nobody says where it lies.
+
+        The robot's own frame lies where the robot was at the stamp of the scan (`Odometry.at`).
+        """
+        named, stamp = said.header.frame_id, stamp_of(said.header)
         with self._moves:
             if self._frames is None:
                 return  # the body is not there before its odometry
             if named not in self._frames:
                 self._refuse(named, *self._frames)
                 return
-            frame = self._options.origin if named == self._frames[0] else self._axle
+            if named == self._frames[0]:
+                frame = self._options.origin
+            else:
+                frame = self._axle.at(stamp)
+                self._tell_stamp(stamp)
             self.body.sees([moved(frame, (pose.position.x, pose.position.y)) for pose in said.poses], time.monotonic())
 
     def _refuse(self, named: str, odometry: str, own: str) -> None:
@@ -119,6 +129,13 @@ class Bridge:
             self._foreign.add(named)
             right = f"should be {odometry!r}, the odometry's frame, or {own!r}, its child_frame_id"
             print(f"bridge: /{self._options.agent}/detections: header.frame_id = {named!r}: {right}; these do not count", file=sys.stderr)
+
+    def _tell_stamp(self, stamp: int) -> None:
+        """Say once that a scan is of another time than the odometry that is kept."""
+        if not self._is_stamp_told and not self._axle.spans(stamp):
+            self._is_stamp_told, agent = True, self._options.agent
+            right = f"should lie within 1 s before the newest of /{agent}/odom, {self._axle.stamp / 1e9:.3f} s; the nearest pose counts"
+            print(f"bridge: /{agent}/detections: header.stamp = {stamp / 1e9:.3f} s: {right}", file=sys.stderr)
 
     def _on_heard(self, heard: Heard) -> None:
         """Take what the swarm says; the agent's estimate is for people who watch in ROS."""
@@ -137,7 +154,7 @@ class Bridge:
 
     def _command(self, velocity: Planar, turn_rate: float) -> None:
         """Say the motion in the robot's own frame."""
-        ahead, left, turn = wheels(velocity, turn_rate, self._axle[2], self._options.offset, self._limit)
+        ahead, left, turn = wheels(velocity, turn_rate, self._axle.newest[2], self._options.offset, self._limit)
         self._drive.publish(message(TWIST, vector(ahead, left, 0.0), vector(0.0, 0.0, turn)))
 
     def _show(self, fields: dict[str, Any]) -> None:
@@ -151,6 +168,11 @@ class Bridge:
 def rows(array: bytes) -> Iterator[Planar]:
     """The rows of an array of 2 float64."""
     return struct.iter_unpack("<2d", array)  # type: ignore[return-value]
+
+
+def stamp_of(header: Any) -> int:
+    """The stamp of a header, ns; 0: not set."""
+    return int(header.stamp.sec) * 1_000_000_000 + int(header.stamp.nanosec)
 
 
 def header() -> Any:

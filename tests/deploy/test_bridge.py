@@ -20,6 +20,7 @@ import pytest
 from deploy.bridge.bridge import Bridge, keep, kept, point, upright
 from deploy.bridge.client import Heard, Network, Participant, access_control, config_of
 from deploy.bridge.frames import fenced, moved, placed, wheels
+from deploy.bridge.odometry import Odometry
 from deploy.bridge.ros import QOS, RosNode, attachment, message, topic_key
 from deploy.bridge.settings import BridgeOptions, Wrong, check, read_run
 from deploy.bridge.watchdog import BridgeWatchdog
@@ -111,33 +112,83 @@ def test_the_file_of_the_halt_holds_the_order_that_counts(tmp_path: Path, capsys
     assert "No such file or directory: the halt is not kept" in capsys.readouterr().err
 
 
+def head(frame: str, stamp: float) -> Any:
+    """A header of this stamp, s."""
+    nanoseconds = round(stamp * 1e9)
+    return message("std_msgs/msg/Header", message("builtin_interfaces/msg/Time", *divmod(nanoseconds, 1_000_000_000)), frame)
+
+
+def odometry(x: float, y: float, heading: float, stamp: float) -> Any:
+    """An odometry of the robot `base`."""
+    turned = message("geometry_msgs/msg/Quaternion", 0.0, 0.0, math.sin(heading / 2.0), math.cos(heading / 2.0))
+    pose = message("geometry_msgs/msg/Pose", point(x, y), turned)
+    return SimpleNamespace(header=head("odom", stamp), pose=SimpleNamespace(pose=pose), child_frame_id="base")
+
+
+def scan(frame: str, stamp: float, *places: tuple[float, float]) -> Any:
+    """The detections of a scan."""
+    poses = [message("geometry_msgs/msg/Pose", point(*place), upright()) for place in places]
+    return message("geometry_msgs/msg/PoseArray", head(frame, stamp), poses)
+
+
 def test_odometry_that_is_no_number_leaves_the_robots_heading_as_it_was() -> None:
     bridge = Bridge.__new__(Bridge)
     bridge.body, bridge._moves, bridge._options = Desk().body, threading.Lock(), BridgeOptions(Path(), "s3")
-    bridge._axle = before = (1.0, 2.0, 0.5)
-    pose = message("geometry_msgs/msg/Pose", point(math.nan, 0.0), upright())
-    bridge._on_odometry(SimpleNamespace(pose=SimpleNamespace(pose=pose), child_frame_id="base"))
-    assert bridge._axle == before
+    bridge._axle = Odometry()
+    for x in (1.0, math.nan):
+        bridge._on_odometry(odometry(x, 2.0, 0.5, 0.0))
+    assert bridge._axle.newest == pytest.approx((1.0, 2.0, 0.5))
 
 
 def test_a_scan_counts_in_the_frames_of_the_odometry_and_of_the_robot_and_in_no_other(capsys: pytest.CaptureFixture[str]) -> None:
     bridge = Bridge.__new__(Bridge)
     bridge.body, bridge._moves, bridge._options = Desk().body, threading.Lock(), BridgeOptions(Path(), "s3", origin=(10.0, 0.0, 0.0))
-    bridge._axle, bridge._frames, bridge._foreign = (0.0, 0.0, 0.0), None, set()
+    bridge._axle, bridge._frames, bridge._foreign, bridge._is_stamp_told = Odometry(), None, set(), False
 
     def places(frame: str) -> list[tuple[float, float]] | None:
         bridge.body._scan = None
-        poses = [message("geometry_msgs/msg/Pose", point(1.0, 0.0), upright())]
-        bridge._on_detections(SimpleNamespace(header=SimpleNamespace(frame_id=frame), poses=poses))
+        bridge._on_detections(scan(frame, 0.0, (1.0, 0.0)))
         return bridge.body._scan and bridge.body._scan[0]
 
     assert places("odom") is None  # the frames are not known yet
-    pose = message("geometry_msgs/msg/Pose", point(5.0, 2.0), upright())
-    bridge._on_odometry(SimpleNamespace(header=SimpleNamespace(frame_id="odom"), pose=SimpleNamespace(pose=pose), child_frame_id="base"))
+    bridge._on_odometry(odometry(5.0, 2.0, 0.0, 0.0))
     assert (places("odom"), places("base")) == ([(11.0, 0.0)], [(16.0, 2.0)])
     assert places("camera_link") is places("camera_link") is None
     [line] = capsys.readouterr().err.splitlines()
     assert line.startswith("bridge: /s3/detections: header.frame_id = 'camera_link': should be 'odom', the odometry's frame, or 'base',")
+
+
+@pytest.mark.parametrize(
+    ("stamped", "placed_by", "remarks"),
+    [(-0.105, -0.105, 0), (0.0, 0.0, 0), (0.1, 0.0, 0), (None, 0.0, 0), (-9.0, -1.0, 1), (1e6, 0.0, 1)],
+    ids=["late", "at once", "ahead", "without a stamp", "older than what is kept", "of another clock"],
+)
+def test_a_detection_of_a_turning_robot_is_placed_by_the_pose_at_the_stamp_of_its_scan(
+    stamped: float | None, placed_by: float, remarks: int, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Times in s after the newest odometry. The robot drives, and turns left at 1 rad/s, through west at -0.105 s."""
+    bridge = Bridge.__new__(Bridge)
+    bridge.body, bridge._moves, bridge._options = Desk().body, threading.Lock(), BridgeOptions(Path(), "s3", origin=(10.0, 0.0, 0.3))
+    bridge._axle, bridge._is_stamp_told, newest = Odometry(), False, 1.7e9
+
+    def where(time: float) -> tuple[float, float, float]:
+        return 0.2 * time, 1.0, math.pi - 0.3 + 0.105 + time
+
+    for number in range(150, -1, -1):
+        bridge._on_odometry(odometry(*where(-0.01 * number), newest - 0.01 * number))
+    for _ in range(2):
+        bridge._on_detections(scan("base", 0.0 if stamped is None else newest + stamped, (2.0, 0.0)))
+    assert bridge.body._scan is not None
+    assert bridge.body._scan[0] == [pytest.approx(moved(placed((10.0, 0.0, 0.3), where(placed_by)), (2.0, 0.0)), abs=1e-5)]
+    assert len(capsys.readouterr().err.splitlines()) == remarks
+
+
+def test_odometry_whose_clock_is_set_back_or_that_has_no_stamps_counts_from_then_on() -> None:
+    track, first, second = Odometry(), (1.0, 0.0, 0.0), (2.0, 0.0, 0.0)
+    for stamp in (0, 5_000_000_000, 3_000_000_000):
+        track.note(stamp, first)
+        track.note(stamp, second)
+        assert track.newest == track.at(0) == track.at(2_500_000_000) == track.at(9_000_000_000) == second
 
 
 def test_wheels_move_the_sensor_at_the_velocity_that_was_asked_for() -> None:
