@@ -30,7 +30,7 @@ from deploy.scenario import (
 from protocol.endpoints import check_endpoints
 from protocol.gaussian_components import MOST_MASS
 from protocol.geometry import rectangle
-from protocol.sensing import WedgeSensor
+from protocol.sensing import WedgeSensor, measurement_of
 from protocol.setting_errors import mistakes
 from protocol.settings import BadSetting, sensor_of
 from world.bodies import check_given, start_poses
@@ -43,6 +43,10 @@ MOST_PRIOR = 1_000_000  # particles that an agent starts with
 MOST_EXPECTED = 0.15 * MOST_MASS  # targets for each agent in the mean; of unequal cells the largest holds up to five times as many
 MOST_BINS = 20_000_000  # of the grid on which an agent looks for targets, and of that on which it weighs a miss
 T = TypeVar("T")
+BLOCK = 5  # bins on a side of what an estimate is read off: agents/tracking/extraction.py
+BINS_TO_NOISE = 2.0, 3.0  # `extraction.bin` in `detection.noise`: docs/how-to/fit.md#what-follows
+LEAST_TICKS = 10.0  # in which a target crosses the reach of a sensor; shipped scenarios have 14 and more
+FITTING = "docs/how-to/fit.md"
 TICKS_TRIED = 2  # of which a law and a motion of the user's own are asked, each by two objects
 WAITED_FOR = {"delay", "slow"}  # faults whose effect is lateness
 TEAM = {"team", "members", "sensors"}  # sections that are right or wrong together
@@ -91,6 +95,28 @@ def complaints(scenario: Scenario) -> Iterator[tuple[str, str]]:
 def fault_remarks(scenario: Scenario) -> list[str]:
     """A line for each fault that changes nothing."""
     return [finding.text for finding in rehearse(scenario) if not finding.is_refused]
+
+
+def scale_remarks(scenario: Scenario) -> list[str]:
+    """A line for each of two settings that does not fit the class of sensors with the smallest reach, and would cost most of the targets.
+
+    Of particles an estimate is read off a block of 5 x 5 bins. Where such a block is wider than the reach, targets in view become one.
+    A target of `filter.speed` that crosses the reach within a few ticks has left before scans could weigh it. In the lab of
+    docs/how-to/fit.md the steady OSPA is 1.5 times as large with a block as wide as the reach, and 2.7 times with 10 ticks.
+    """
+    sensors = {name: sensor_of(scenario, name) for name in scenario.members.values()}
+    name = min(sensors, key=lambda name: sensors[name].reach)
+    side, noise, speed, (few, many) = scenario.extraction.bin, scenario.detection.noise, scenario.filter.speed, BINS_TO_NOISE
+    reach, has_places = sensors[name].reach, measurement_of(sensors[name]) is None
+    ticks, remarks = reach / (speed * scenario.run.dt), []
+    if scenario.filter.kind == "particles" and has_places and BLOCK * side > reach and side > many * noise:
+        wide = f"a target is read off {BLOCK} x {BLOCK} bins, and {name} reaches {reach:g} m"
+        right = f"{few * noise:g} to {many * noise:g} m, {few:g} to {many:g} times detection.noise"
+        remarks.append(f"extraction.bin = {side:g}: {wide}; should be {right} ({FITTING})")
+    if ticks < LEAST_TICKS:
+        fast = f"crosses the reach of {name}, {reach:g} m, in {ticks:.1f} ticks"
+        remarks.append(f"filter.speed = {speed:g}: {fast}; should be the usual speed of your targets, or run.dt less ({FITTING})")
+    return remarks
 
 
 def faults_without_effect(scenario: Scenario) -> str:

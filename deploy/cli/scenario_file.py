@@ -13,6 +13,7 @@ from deploy.cli.scenario_checks import (
     faults_beyond_a_simulation,
     faults_on_links,
     faults_without_effect,
+    scale_remarks,
 )
 from deploy.cli.template import template
 from deploy.installation import versions
@@ -95,6 +96,8 @@ def check(scenario: Scenario) -> int:
         print(f"           run.seconds = {run.seconds:g} is no multiple of run.dt: the run lasts {run.ticks * run.dt:g} s")
     for remark in filter(None, (platform_remark, *pose_warnings(world_config(scenario)))):
         print(f"bodies     {remark}")
+    for remark in scale_remarks(scenario):
+        print(f"fit        {remark}")
     if scenario.control.mode == ORACLE:
         print("control    oracle knows the true targets: of `covey simulate` alone, `covey up` refuses it")
     try:

@@ -9,8 +9,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from agents.config import AgentConfig
+from deploy.cli.scenario_checks import scale_remarks
 from deploy.scenario import FOLDER, TeamSettings, find, parse_set, resolve, team_counts, toml_text
 from protocol.settings import BadSetting, CommonSettings, convert
+from tests.docs import blocks_of
 from world.config import WorldConfig
 
 SHIPPED = ["anisotropic", "convergence", "efficacy", "heterogeneity", "mrclam", "quick", "solent", "students03"]
@@ -97,6 +99,26 @@ def test_every_shipped_scenario_resolves_and_its_team_is_spelled_out(name: str) 
     assert Counter(scenario.members.values()) == counts(scenario.team.composition, scenario.team.triple)
     assert list(scenario.members) == [f"s{number}" for number in range(1, len(scenario.members) + 1)]
     assert scenario.run.scenario == name
+
+
+LAB = next(block.text for block in blocks_of("docs/how-to/fit.md") if block.language == "toml")
+
+
+def test_a_bin_or_a_speed_that_is_too_large_for_what_the_sensors_see_is_remarked_on(tmp_path: Path) -> None:
+    """With 5 bins within the reach of 2 m, and 10 ticks to cross it, there is no remark."""
+    (lab := tmp_path / "lab.toml").write_text(LAB)
+
+    def remarks(**settings: float) -> list[str]:
+        return scale_remarks(resolve(str(lab), {name.replace("__", "."): value for name, value in settings.items()}))
+
+    assert (
+        remarks() == remarks(extraction__bin=0.4) == remarks(filter__speed=0.8) == remarks(extraction__bin=1.0, detection__noise=0.4) == []
+    )
+    wide, fast = remarks(extraction__bin=1.0, filter__speed=2.0)
+    assert wide.startswith("extraction.bin = 1: a target is read off 5 x 5 bins, and cam reaches 2 m; should be 0.1 to 0.15 m,")
+    assert fast.startswith("filter.speed = 2: crosses the reach of cam, 2 m, in 4.0 ticks; should be the usual speed of your targets,")
+    assert remarks(extraction__bin=0.41) and remarks(filter__speed=0.81)
+    assert [name for name in SHIPPED if scale_remarks(resolve(name))] == []
 
 
 def test_the_shipped_scenarios_are_these() -> None:
