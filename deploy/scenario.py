@@ -235,8 +235,9 @@ def targets_in_words(scenario: Scenario) -> str:
     recorded = scenario.recorded
     if recorded.kind != "none":
         return f"{recorded.kind} of {Path(recorded.data).name}"
-    crossing = " at the start, and others enter and leave" if scenario.targets.border == "cross" else ""
-    return f"{scenario.targets.count} targets{crossing}"
+    targets = scenario.targets
+    arrive = targets.border == "cross" and targets.count * targets.speed > 0.0  # as `arrival_rate`
+    return f"{targets.count} targets{' at the start, and others enter and leave' if arrive else ''}"
 
 
 def law_in_words(mode: str) -> str:

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from agents.config import AgentConfig
 from deploy.cli.scenario_checks import scale_remarks
-from deploy.scenario import FOLDER, TeamSettings, find, parse_set, resolve, team_counts, toml_text
+from deploy.scenario import FOLDER, TeamSettings, find, parse_set, resolve, targets_in_words, team_counts, toml_text
 from protocol.settings import BadSetting, CommonSettings, convert
 from tests.docs import blocks_of
 from world.config import WorldConfig
@@ -119,6 +119,14 @@ def test_a_bin_or_a_speed_that_is_too_large_for_what_the_sensors_see_is_remarked
     assert fast.startswith("filter.speed = 2: crosses the reach of cam, 2 m, in 4.0 ticks; should be the usual speed of your targets,")
     assert remarks(extraction__bin=0.41) and remarks(filter__speed=0.81)
     assert [name for name in SHIPPED if scale_remarks(resolve(name))] == []
+
+
+@pytest.mark.parametrize(
+    ("count", "border", "said"), [(0, "cross", ""), (2, "reflect", ""), (2, "cross", " at the start, and others enter and leave")]
+)
+def test_others_enter_where_some_are_there_and_the_border_is_crossed(count: int, border: str, said: str) -> None:
+    """The rate of arrivals follows from the number at the start."""
+    assert targets_in_words(resolve("quick", {"targets.count": count, "targets.border": border})) == f"{count} targets{said}"
 
 
 def test_the_shipped_scenarios_are_these() -> None:
