@@ -20,10 +20,10 @@ from matplotlib.patches import Patch
 
 from agents.coverage.capacity import detecting_capability, power_radius
 from deploy.scenario import TeamSettings, team_counts
-from deploy.storage.whole_file import whole_file
 from deploy.studies.paired import Comparison, Group, compare, groups_of, values
 from deploy.studies.trials import Row, methods_of
 from protocol.sensing import SENSOR_CLASSES
+from protocol.whole_file import whole_file
 from world.score import heterogeneity_level
 
 STYLE: dict[Any, Any] = {
