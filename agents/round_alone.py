@@ -30,6 +30,7 @@ def unsent_gossip(context: AgentContext, last: RoundResult, observation: Observa
         power_radius=last.power_radius,
         unused=last.unused,
         detections_bytes=observation.detections_bytes,
+        scanned=observation.scanned,
         pose_noise=pose_noise,
     )
 

@@ -289,6 +289,7 @@ class Observation(Message, frozen=True, kw_only=True, dict=True, tag="observatio
     pose: StatedPose
     detections_bytes: RowsOf8Bytes = msgspec.field(name="detections", default=b"")  # (M, 2) float32
     obstacles_bytes: RowsOf16Bytes = msgspec.field(name="obstacles", default=b"")  # (K, 2) float64: centres of the bodies close by
+    scanned: bool = True  # False: no scan in this tick, unlike an empty scan
 
     detections = array_field("detections_bytes", DETECTIONS)  # (M, 2) float32
     obstacles = array_field("obstacles_bytes", OBSTACLES)  # (K, 2) float64

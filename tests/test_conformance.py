@@ -130,6 +130,7 @@ FULL: dict[str, Message] = {
         pose=(1.0, 2.0, 0.5),
         detections_bytes=struct.pack("<2f", 1.25, -2.5),
         obstacles_bytes=struct.pack("<2d", 3.0, 4.0),
+        scanned=False,
     ),
     "pose": BodyPose(sender="s1", incarnation=7, tick=3, pose=(1.0, 2.0, 0.5)),
     "command": Command(sender="s1", incarnation=7, tick=3, velocity=(1.5, -0.5), turn_rate=0.25),

@@ -267,7 +267,7 @@ class Body(Node):
         self._scene.step_until(tick)
         if detections is None:
             [detections], _ = self._scene.scans({self.name: self.pose})
-        else:
+        elif detections is not False:
             detections = to_measurements(measurement_of(self._scene.sensors[self.name]), self.pose, detections)
         has_size = self._config.limits.radius > 0.0
         obstacles = around(self.pose, [(x, y) for x, y, _ in self._others.values()], self._config) if has_size else None
@@ -278,8 +278,9 @@ class Body(Node):
             tick=tick,
             time=tick * self._config.run.dt,
             pose=self.pose,
-            detections_bytes=pack(detections, "<f4"),
+            detections_bytes=b"" if detections is False else pack(detections, "<f4"),
             obstacles_bytes=pack(obstacles, "<f8") if obstacles is not None else b"",
+            scanned=detections is not False,
         )
         said = BodyPose(sender=self.name, incarnation=self.incarnation, tick=tick, pose=self.pose)
         return [said, seen] if has_size else [seen]

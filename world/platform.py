@@ -6,7 +6,7 @@ body. Every answer is checked. A wrong one ends the process of this body with on
 
 import math
 from collections.abc import Callable
-from typing import Any, Protocol
+from typing import Any, Literal, Protocol
 
 import numpy as np
 
@@ -33,10 +33,11 @@ class Platform(Protocol):
     Where all of it is computed, and moves by its ticks alone, its class says `simulated = True`; else simulations refuse it.
     """
 
-    def read(self, tick: int) -> tuple[Pose, np.ndarray | None]:
+    def read(self, tick: int) -> tuple[Pose, np.ndarray | Literal[False] | None]:
         """The pose (x m, y m, heading rad) in the arena's frame and the detections (M, 2) of this tick, each x, y in that frame, m.
 
-        Ticks grow; some may be left out. None in place of detections: the sensor of the scenario is simulated at this pose.
+        Ticks grow; some may be left out. None in place of detections: the sensor of the scenario is simulated at this pose. False: the
+        sensor has not scanned since the last call, unlike an array without rows, of a scan that found nothing.
         """
 
     def drive(self, velocity: Vector, turn_rate: float) -> None:
@@ -116,14 +117,15 @@ class CheckedPlatform:
     def __init__(self, platform: Platform, name: str) -> None:
         self._platform, self._name = platform, name
 
-    def read(self, tick: int) -> tuple[Pose, np.ndarray | None]:
+    def read(self, tick: int) -> tuple[Pose, np.ndarray | Literal[False] | None]:
         """As the platform says."""
         what = f"{self._name}.read({tick})"
         with as_bad_setting(what):
             answer = self._platform.read(tick)
         if not isinstance(answer, tuple) or len(answer) != 2:
             raise BadSetting(f"{what} returned {shown(answer)}: should be a pose and detections")
-        return _pose(what, answer[0]), None if answer[1] is None else _detections(what, answer[1])
+        pose, detections = answer
+        return _pose(what, pose), detections if detections is None or detections is False else _detections(what, detections)
 
     def drive(self, velocity: Vector, turn_rate: float) -> None:
         """Tell the platform."""

@@ -61,6 +61,7 @@ def gossip(
         power_radius=outcome.power_radius,
         unused=outcome.unused,
         detections_bytes=observation.detections_bytes,
+        scanned=observation.scanned,
         listening=listening,
         claim_tick=max(0, outcome.belief.claim_tick if current else observation.tick - 1),
         claim_names=owned.claim.names if current else (),

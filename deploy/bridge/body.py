@@ -17,7 +17,8 @@ NEIGHBOURS = 5  # to whom the clock listens: two of them may be wrong
 GATHERED = 1.0  # s for which nobody new came, until a run of which nobody speaks begins
 MOST_PLACES = 8192  # detections of a scan, and other bodies, as on the wire
 LARGEST = 1e6  # m, as on the wire: some drivers say larger numbers for nothing
-STALE = 0.5  # s after which odometry or a scan is too old, or two periods
+STALE = 0.5  # s after which odometry or a scan is too old, or two periods; of a slower detector two of its own
+SLOWEST = 2.0  # s between two scans of the slowest detector
 STANDING = (0.0, 0.0), 0.0
 
 
@@ -52,6 +53,8 @@ class RobotBody:
         self._changed = 0.0
         self._pose: tuple[Placement, float] | None = None
         self._scan: tuple[list[Planar], float] | None = None
+        self._gap = 0.0  # s between the newest two scans
+        self._is_told = False  # whether the agent has been told of the newest scan
         self._halt = -1  # incarnation of the newest order
         self._command: tuple[int, Planar, float, float] | None = None  # tick, velocity, turn rate, when it came
 
@@ -72,6 +75,8 @@ class RobotBody:
 
     def sees(self, detections: list[Planar], now: float) -> None:
         """Take a scan, in the arena's frame; places that are none are left out."""
+        self._gap = min(now - self._scan[1], SLOWEST) if self._scan else 0.0
+        self._is_told = False
         self._scan = [place for place in detections if is_place(*place)][:MOST_PLACES], now
 
     def hear(self, heard: Heard, now: float) -> None:
@@ -139,8 +144,10 @@ class RobotBody:
 
     def _is_sound(self, now: float) -> bool:
         """Whether odometry and scans are fresh; a body that does not know where it is, or sees nothing, is as good as dead."""
-        oldest = now - max(STALE, 2.0 * self._rules.period)
-        return self._pose is not None and self._scan is not None and min(self._pose[1], self._scan[1]) >= oldest
+        if self._pose is None or self._scan is None:
+            return False
+        fresh = max(STALE, 2.0 * self._rules.period)
+        return self._pose[1] >= now - fresh and self._scan[1] >= now - max(fresh, 2.0 * self._gap)
 
     def step(self, now: float) -> None:
         """Go on to the tick that it is, if it is a new one: tell the agent where it is and what it sees."""
@@ -158,12 +165,13 @@ class RobotBody:
             self._command = None
         self.tick = tick
         assert self._pose is not None and self._scan is not None
-        seen = b"".join(struct.pack("<2f", *place) for place in self._scan[0])
+        scanned, self._is_told = not self._is_told, True
+        seen = b"".join(struct.pack("<2f", *place) for place in self._scan[0]) if scanned else b""
         place = {"tick": tick, "pose": self._pose[0]}
         if self._rules.sight:
             self._say("pose", place)
         told = {"recipient": self._rules.agent, "time": tick * self._rules.dt, "detections": seen, "obstacles": self._obstacles()}
-        self._say("observation", {**place, **told})
+        self._say("observation", {**place, **told, "scanned": scanned})
 
     def _obstacles(self) -> bytes:
         """The middles of the bodies close by, where they said last that they are."""

@@ -188,7 +188,7 @@ class Stranger:
         (x, y, heading), detections, area = seen["pose"], seen.get("detections", b""), self.capability
         cod, radius = (x + self.ahead * math.cos(heading), y + self.ahead * math.sin(heading)), math.sqrt(area / math.pi)
         mine = {"tick": self.tick, "pose": seen["pose"], "cod": cod, "power_radius": radius, "unused": area, "detections": detections}
-        self.open = self.say("gossip", {**mine, **owned, "listening": self.listening})
+        self.open = self.say("gossip", {**mine, **owned, "listening": self.listening, "scanned": seen.get("scanned", True)})
 
     def awaited(self) -> set[str]:
         """The peers whose gossip of this round is still to come: alive, and not silent for long."""

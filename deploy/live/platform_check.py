@@ -29,7 +29,7 @@ def check_platform(name: str, config: WorldConfig) -> Iterator[tuple[str, bool]]
         trial.stop()
         yield "stop may be called before anything else, and twice", True
         start = trial.read()
-        yield "read returns a pose of finite numbers, and detections (M, 2) or None", True
+        yield "read returns a pose of finite numbers, and detections (M, 2), None or False", True
         trial.wait(0.5)
         yield f"it stands until it is driven (within {STILL} m)", math.dist(trial.read()[:2], start[:2]) <= STILL
         east, north, _ = trial.drive((SPEED, 0.0), 0.0)

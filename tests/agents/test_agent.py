@@ -11,6 +11,7 @@ from agents.config import AgentConfig, ControlSettings, FilterSettings, TimingSe
 from agents.coverage.control import ControlInput, Situation
 from agents.membership.announcements import EARLY_CROWD, EARLY_PERIOD, REPLY_DELAY
 from agents.membership.membership import EXIT_FENCED
+from agents.round_alone import unsent_gossip
 from protocol.fields import pack
 from protocol.measuring import MeasurementModel
 from protocol.message import Message
@@ -108,6 +109,16 @@ def test_an_observation_is_answered_at_once_and_the_round_closes_with_the_last_w
     assert isinstance(said, Gossip) and said.tick == 0 and said.pose == (10.0, 20.0, 0.0) and not said.listening
     assert math.isclose(said.power_radius, 6.4992, abs_tol=1e-3)  # Table I, class A: nothing is used yet
     assert kinds(agent.handle(word(0), 1.1)) == [Estimate, Command]
+
+
+def test_a_tick_in_which_the_sensor_did_not_scan_is_said_as_such_and_is_none_for_an_agent_that_plays_alone() -> None:
+    agent = met()
+    [blank] = see(0).batch.messages
+    assert isinstance(blank, Observation)
+    blank = msgspec.structs.replace(blank, scanned=False)
+    said = only(agent.handle(received(blank), 1.0), Gossip)
+    assert isinstance(said, Gossip) and not said.scanned
+    assert not unsent_gossip(agent.context, agent.outcome, blank, None).scanned
 
 
 def test_a_word_that_came_before_the_observation_counts() -> None:

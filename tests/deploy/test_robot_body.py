@@ -60,6 +60,25 @@ def test_what_a_body_says_is_an_observation_that_the_swarm_reads() -> None:
     assert (seen.tick, seen.time, seen.pose, seen.detections.tolist()) == (2, 0.5, (1.0, 2.0, 0.5), [[3.0, 4.0]])
 
 
+def test_each_scan_of_a_slow_detector_is_told_once_and_the_body_is_there_between_two_of_them() -> None:
+    """One scan a second; ticks of 0.25 s. Two scans have shown how slow it is. Without a third one the body goes after 2 s."""
+    desk = Desk()
+    desk.body.sees([(3.0, 4.0)], 99.0)
+    for tick in range(13):
+        now = 100.0 + 0.25 * tick
+        desk.body.at((1.0, 2.0, 0.5), now)
+        if tick in (0, 4):
+            desk.body.sees([(3.0, 4.0)], now)
+        desk.body.step(now)
+        assert desk.up
+    assert [(said["scanned"], len(said["detections"])) for said in desk.said] == [
+        (True, 8) if tick in (0, 4) else (False, 0) for tick in range(13)
+    ]
+    desk.body.at((1.0, 2.0, 0.5), 103.3)
+    desk.body.step(103.3)
+    assert not desk.up
+
+
 def test_a_body_with_a_size_says_its_pose_and_tells_its_agent_of_those_that_did() -> None:
     desk = Desk(sight=5.0)
     for name, x in (("s1", 5.0), ("s2", 6.1), ("s3", 1.0), ("s4", math.nan)):
