@@ -230,6 +230,11 @@ def with_run_name(scenario: Scenario, run: str) -> Scenario:
     return msgspec.structs.replace(scenario, run=msgspec.structs.replace(scenario.run, name=run))
 
 
+def has_targets(scenario: Scenario) -> bool:
+    """Whether there are true targets to compare estimates with; those of a room in which robots are is not among what a run knows."""
+    return scenario.recorded.kind != "none" or scenario.targets.count > 0
+
+
 def targets_in_words(scenario: Scenario) -> str:
     """How many targets there are, or where they come from."""
     recorded = scenario.recorded

@@ -124,6 +124,8 @@ def swarm_line(swarm: dict[str, Any]) -> str:
     if swarm["tick"] < 0:
         return f"starting: {swarm['waiting']}".removesuffix(": ")
     scores = f"OSPA {swarm['ospa']:5.2f} m  GOSPA {swarm['gospa']:5.1f} m  in view {swarm['in_view']}/{swarm['targets']}"
+    if not swarm["has_targets"]:
+        scores = "OSPA -  GOSPA -  in view - (targets.count = 0)"
     cells = f"hole {100.0 * swarm['hole']:.2f} %  overlap {100.0 * swarm['overlap']:.2f} %"
     return f"t {swarm['time']:7.2f} s  {scores}  {cells}  {tick_rate_words(swarm['tick_rate'])}".rstrip()
 

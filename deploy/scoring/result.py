@@ -83,6 +83,7 @@ class Result(msgspec.Struct, frozen=True, kw_only=True):
     mota: float = 0.0
     track_ospa: float = 0.0  # OSPA(2), m, mean over windows of 10 s
     events: tuple[EventReport, ...] = ()  # the effect of each death, return and cut
+    has_targets: bool = True  # false: the scenario has none, and all that compares with true targets says nothing
     tick_rate: TickRate | None = None  # of a run with processes: ticks a second, rounds that were skipped or late
     exit_code: int = 0  # of the run: 0 done, 1 a process failed, 130 and 143 stopped by a signal
 
@@ -103,16 +104,31 @@ class Result(msgspec.Struct, frozen=True, kw_only=True):
             hole += f" ({len(self.kills) - len(closed)} not closed)"
         names = ", ".join(kill.name for kill in self.kills)
         missing = [("missing from the start", f"{len(self.missing)} of {self.agents}: {', '.join(self.missing)}")] if self.missing else []
+        none = [] if self.has_targets else [("no scores", "targets.count = 0: no true targets are known")]
+
+        def compared(figures: str) -> str:
+            return figures if self.has_targets else "-"
+
         return [
             *missing,
-            ("OSPA, mean / steady / final", f"{self.mean_ospa:.2f} / {self.steady_ospa:.2f} / {self.final_ospa:.2f} m"),
-            ("GOSPA, mean / steady / final", f"{self.mean_gospa:.1f} / {self.steady_gospa:.1f} / {self.final_gospa:.1f} m"),
-            ("  localisation + missed + false", f"{self.steady_localisation:.1f} + {self.steady_missed:.1f} + {self.steady_false:.1f} m"),
-            ("targets / reported / expected", f"{self.steady_targets:.1f} / {self.steady_estimated:.1f} / {self.steady_mass:.1f}"),
-            ("identity switches, IDF1 / HOTA / MOTA", f"{self.id_switches}, {self.idf1:.2f} / {self.hota:.2f} / {self.mota:.2f}"),
-            ("OSPA of tracks", f"{self.track_ospa:.2f} m"),
+            *none,
+            ("OSPA, mean / steady / final", compared(f"{self.mean_ospa:.2f} / {self.steady_ospa:.2f} / {self.final_ospa:.2f} m")),
+            ("GOSPA, mean / steady / final", compared(f"{self.mean_gospa:.1f} / {self.steady_gospa:.1f} / {self.final_gospa:.1f} m")),
+            (
+                "  localisation + missed + false",
+                compared(f"{self.steady_localisation:.1f} + {self.steady_missed:.1f} + {self.steady_false:.1f} m"),
+            ),
+            (
+                "targets / reported / expected",
+                f"{compared(f'{self.steady_targets:.1f}')} / {self.steady_estimated:.1f} / {self.steady_mass:.1f}",
+            ),
+            ("identity switches, IDF1 / HOTA / MOTA", compared(f"{self.id_switches}, {self.idf1:.2f} / {self.hota:.2f} / {self.mota:.2f}")),
+            ("OSPA of tracks", compared(f"{self.track_ospa:.2f} m")),
             ("arena in view", f"{100.0 * self.steady_coverage:.0f} %"),
-            ("targets in view at the end", f"{self.targets_in_view} of {self.targets} ({100.0 * self.share_in_view:.0f} % of the time)"),
+            (
+                "targets in view at the end",
+                compared(f"{self.targets_in_view} of {self.targets} ({100.0 * self.share_in_view:.0f} % of the time)"),
+            ),
             ("ticks / rounds of all agents", f"{self.ticks} / {self.rounds}"),
             ("messages", f"{self.messages} ({self.bytes / 1e6:.1f} MB)"),
             ("killed", f"{len(self.kills)} of {self.agents}" + (f": {names}" if names else "")),

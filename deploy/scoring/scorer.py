@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import msgspec
 import numpy as np
 
-from deploy.scenario import Scenario, agent_config, bodies_of, world_config
+from deploy.scenario import Scenario, agent_config, bodies_of, has_targets, world_config
 from deploy.scoring.chronicle import Chronicle, ScoredTick
 from deploy.scoring.deaths import Deaths
 from deploy.scoring.result import EventReport, Fault, Result
@@ -375,6 +375,7 @@ class Scorer(Node):
             gospa=last.gospa,
             targets=last.targets,
             in_view=last.in_view,
+            has_targets=has_targets(self._scenario),
             mass=last.mass,
             hole=last.hole,
             overlap=last.overlap,

@@ -11,7 +11,7 @@ import msgspec
 import numpy as np
 import shapely
 
-from deploy.scenario import Scenario
+from deploy.scenario import Scenario, has_targets
 from protocol.geometry import total_area
 from protocol.observer_messages import Truth
 from protocol.sensing import SensorModel
@@ -124,7 +124,7 @@ def share_in_view(scores: Sequence[Score]) -> float:
     return sum(score.in_view for score in scores) / max(1, sum(score.targets for score in scores))
 
 
-def why(scores: Sequence[Score], scenario: Scenario) -> dict[str, float]:
+def why(scores: Sequence[Score], scenario: Scenario) -> dict[str, float | bool]:
     """Means of the parts of the error over the steady part, and the share in view over the last `END` s; fields of `Result`."""
     steady = steady_part(scores, scenario)
     last = [score for score in scores if score.time > scores[-1].time - END]
@@ -137,6 +137,7 @@ def why(scores: Sequence[Score], scenario: Scenario) -> dict[str, float]:
         "steady_mass": mean([score.mass for score in steady]),
         "steady_coverage": mean([score.coverage for score in steady]),
         "end_in_view": share_in_view(last),
+        "has_targets": has_targets(scenario),
     }
 
 

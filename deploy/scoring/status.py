@@ -49,6 +49,7 @@ class Status(msgspec.Struct, kw_only=True):
     gospa: float
     targets: int
     in_view: int
+    has_targets: bool  # false: the scenario has none, so that there is nothing to compare estimates with
     mass: float
     hole: float
     overlap: float

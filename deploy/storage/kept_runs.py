@@ -34,7 +34,7 @@ class KeptRun(NamedTuple):
     seed: int | None
     began: float  # Unix time, s
     state: str  # running, ended, failed, interrupted
-    ospa: float | None  # steady, m; None: there is no result, or none of any tick
+    ospa: float | None  # steady, m; None: there is no result, none of any tick, or no true target
     recording_bytes: int
     simulated: bool
 
@@ -116,7 +116,7 @@ def _look(directory: RunDirectory) -> KeptRun:
     """What there is to say of a run; raises FileNotFoundError where something that was there has gone."""
     scenario = _run_section(directory)
     result = _result(directory)
-    ospa = result.get("steady_ospa") if result.get("ticks") != 0 else None
+    ospa = result.get("steady_ospa") if result.get("ticks") != 0 and result.get("has_targets", True) else None
     code = result.get("exit_code", 0) if result else INTERRUPTED[0]
     state = "running" if directory.is_running() else "interrupted" if code in INTERRUPTED else "failed" if code else "ended"
     return KeptRun(

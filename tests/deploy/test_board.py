@@ -11,7 +11,7 @@ from deploy.cli.watch import WatchScreen
 from protocol.settings import BadSetting
 
 SWARM = {
-    "tick": 12, "time": 3.0, "ospa": 0.5, "gospa": 1.0, "in_view": 2, "targets": 3, "hole": 0.0, "overlap": 0.0,
+    "tick": 12, "time": 3.0, "ospa": 0.5, "gospa": 1.0, "in_view": 2, "has_targets": True, "targets": 3, "hole": 0.0, "overlap": 0.0,
     "arena": (25.0, 25.0), "places": [], "estimates": [],
     "tick_rate": {"ticks_per_s": None, "asked_per_s": None, "skipped": 0, "late": 0, "pace": 1, "slowest": [], "stalled": [], "advice": ""},
 }  # fmt: skip

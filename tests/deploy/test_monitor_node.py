@@ -394,3 +394,22 @@ def test_before_the_first_tick_a_swarm_says_what_it_waits_for_and_no_hole(scenar
     for name, cell in (("a", LEFT), ("b", RIGHT)):
         scorer.handle(estimate(name, 0, cell), 0.0)
     assert swarm_line(msgspec.to_builtins(scorer.status(0.0))).startswith("t    0.00 s  OSPA")
+
+
+COMPARED = [  # rows of the table that compare with true targets alone
+    *("OSPA, mean / steady / final", "GOSPA, mean / steady / final", "  localisation + missed + false"),
+    *("identity switches, IDF1 / HOTA / MOTA", "OSPA of tracks", "targets in view at the end"),
+]
+
+
+@pytest.mark.parametrize("count", [0, 3])
+def test_without_true_targets_there_are_no_scores_and_one_line_says_why(count: int, scenario: Scenario) -> None:
+    scorer = started(msgspec.structs.replace(scenario, targets=msgspec.structs.replace(scenario.targets, count=count)))
+    scorer.handle(truth(0), 0.0)
+    for name, cell in (("a", LEFT), ("b", RIGHT)):
+        scorer.handle(estimate(name, 0, cell), 0.0)
+    table = dict(scorer.result(1.0).rows())
+    assert table.get("no scores") == (None if count else "targets.count = 0: no true targets are known")
+    assert [what for what in table if table[what] == "-"] == ([] if count else COMPARED) + ["time to close the hole"]
+    assert table["targets / reported / expected"].startswith("- /") == (not count)
+    assert ("OSPA -  GOSPA -  in view - (targets.count = 0)" in swarm_line(msgspec.to_builtins(scorer.status(0.0)))) == (not count)
