@@ -15,8 +15,8 @@ import numpy as np
 from agents.membership.peer_table import MOST_STRANGERS
 from agents.tracking.gaussians import unpacked, weighted_points
 from deploy.scenario import Scenario
+from deploy.scoring.deaths import ends_run
 from deploy.scoring.result import Fault
-from deploy.scoring.run_end import ends_run
 from protocol.keys import order
 from protocol.measuring import to_places
 from protocol.messages import Gossip, Hello, Observation

@@ -1,4 +1,8 @@
-"""The deaths of a run: which agents died, which are only paused, and how long others took to cover their cells."""
+"""The deaths of a run: which agents died, which are only paused, and how long others took to cover their cells.
+
+Agents that leave at the end of a run have not died: after the last tick the world ends, or the bodies where there is no world, and then
+the agents are dismissed.
+"""
 
 from dataclasses import dataclass
 
@@ -6,6 +10,8 @@ import numpy as np
 
 from deploy.scoring.chronicle import ScoredTick, is_taken
 from deploy.scoring.result import Kill
+from protocol.node import Event, Gone
+from protocol.observer_messages import Truth
 
 MOST_DEATHS = 4096  # kept of a run: one that comes and goes all the time fills no memory
 
@@ -59,3 +65,8 @@ class Deaths:
 def _kill(loss: _Death) -> Kill:
     seconds, ticks = loss.closed if loss.closed else (None, None)
     return Kill(name=loss.name, tick=loss.tick, time=loss.time, closed_seconds=seconds, closed_ticks=ticks)
+
+
+def ends_run(event: Event, truth: Truth | None, ticks: int) -> bool:
+    """Whether an event ends a run of so many ticks, of which `truth` is the newest that has been heard."""
+    return isinstance(event, Gone) and event.role in ("world", "body") and truth is not None and truth.tick >= ticks - 1

@@ -14,9 +14,8 @@ import numpy as np
 
 from deploy.scenario import Scenario, agent_config, bodies_of, has_targets, world_config
 from deploy.scoring.chronicle import Chronicle, ScoredTick
-from deploy.scoring.deaths import Deaths
+from deploy.scoring.deaths import Deaths, ends_run
 from deploy.scoring.result import EventReport, Fault, Result
-from deploy.scoring.run_end import ends_run
 from deploy.scoring.scores import NO_SCORE, Coverage, Score, hole_and_overlap, mean, share_in_view, steady_part, why
 from deploy.scoring.status import AgentStatus, Status
 from deploy.scoring.tick_rate import TickRateMeter
