@@ -94,7 +94,7 @@ class GossipHistory:
     def blurred_config(self, ticks: int) -> AgentConfig:
         """The settings to read targets off a density that was moved on by some ticks: a target is spread wider, and its peak is lower.
 
-        What is left when one expected target has been taken from a peak must be more than that to be another one.
+        When one expected target has been taken from a peak, the rest counts as another one only above `beside`, at least `BESIDE` here.
         """
         ticks = min(ticks, self.ticks_ahead + 1)  # a jump over more ticks blurs no more
         if ticks not in self._blurred:

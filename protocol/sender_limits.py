@@ -12,7 +12,7 @@ from protocol.arrival_queue import session_of
 
 
 class RateLimiter:
-    """The rate limit per key: `most` messages a second.
+    """The rate limit per key, `most` messages a second, and beyond it per session.
 
     A key beyond the limit becomes suspect. Under a suspect key each session has a token bucket of its own: `most` messages at once, and
     as many a second in the long run.
