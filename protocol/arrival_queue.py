@@ -102,9 +102,11 @@ class ArrivalQueue:
 
     def _without_old(self, batch: list[Arrival], most: int) -> list[Arrival]:
         """The batch without the observations of which `most` newer ones of the key and session are in the batch or in the queue."""
-        if not any(OBSERVATION in arrival.key for arrival in batch):
+        observations = [arrival for arrival in batch if OBSERVATION in arrival.key]
+        if not observations or len(observations) + len(self._queue) <= most:
             return batch
-        newer = Counter((arrival.key, arrival.source) for arrival in (*batch, *self._queue) if OBSERVATION in arrival.key)
+        waiting = [arrival for arrival in self._queue if OBSERVATION in arrival.key]
+        newer = Counter([(arrival.key, arrival.source) for arrival in (*observations, *waiting)])
         kept = []
         for arrival in batch:
             if OBSERVATION in arrival.key:
