@@ -6,10 +6,10 @@ from pathlib import Path
 
 from rich.table import Table
 
-from deploy.cli.study import checked_plan
-from deploy.cli.study_progress import console_of, run_open_trials
+from deploy.cli.study import checked_plan, console_of
 from deploy.studies.ablation import PARTS, MethodSummary, lines
 from deploy.studies.design import OPEN_TEAMS, Design
+from deploy.studies.open_trials import run_open_trials
 from deploy.studies.results import StudyFolder
 from deploy.studies.trials import run_trial
 

@@ -7,8 +7,8 @@ from typing import Any
 
 from rich.table import Table
 
-from deploy.cli.study import take_seconds
-from deploy.cli.study_progress import console_of, run_open_trials
+from deploy.cli.study import console_of, take_seconds
+from deploy.studies.open_trials import run_open_trials
 from deploy.studies.results import StudyFolder
 from deploy.studies.robustness import FRESH, LEVELS, NONE, SCENARIO, Row, plan, play, summary, table
 from protocol.settings import BadSetting

@@ -8,14 +8,32 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
+from deploy.cli.errors import lead_nowhere
 from deploy.cli.scenario_checks import check_scenario
-from deploy.cli.study_progress import console_of, run_open_trials
 from deploy.scenario import resolve
 from deploy.storage.run_directory import runs_folder
 from deploy.studies.design import Design, plan
+from deploy.studies.open_trials import run_open_trials
 from deploy.studies.paired import Comparison, Summary, compare, groups_of, summarise
 from deploy.studies.results import StudyFolder
 from deploy.studies.trials import Row, Trial, methods_of, run_trial
+
+PLAIN_WIDTH = 180  # columns where there is no terminal
+
+
+class StudyConsole(Console):
+    """A console whose reader may go: the study goes on for hours, and its results are kept."""
+
+    def on_broken_pipe(self) -> None:
+        """Called while the error is handled."""
+        lead_nowhere(2 if self.stderr else 1)
+        self.quiet = True
+
+
+def console_of(as_json: bool) -> Console:
+    """The console for people: standard output, or standard error when standard output carries JSON."""
+    console = StudyConsole(stderr=as_json, highlight=False)
+    return console if console.is_terminal else StudyConsole(stderr=as_json, highlight=False, width=PLAIN_WIDTH)
 
 
 def run_study(found: Design, into: Path, workers: int | None, scheduler: str | None, as_json: bool) -> int:

@@ -15,11 +15,11 @@ from typing import Any
 
 import pytest
 
-from deploy.cli.study import run_study
-from deploy.cli.study_progress import ProgressBar, RemainingWork, _exits_on_sigterm, _follow, console_of, remaining, words
+from deploy.cli.study import console_of, run_study
 from deploy.installation import ROOT, environment
 from deploy.studies.design import Design, design_fields, design_with, dotted_options
 from deploy.studies.engines import FinishedTrials, Numbered, TrialFailed, _harvest, on_a_cluster, on_this_machine, shared_progress
+from deploy.studies.open_trials import ProgressBar, RemainingWork, _exits_on_sigterm, _follow, remaining, words
 from deploy.studies.results import StudyFolder
 from deploy.studies.trials import Row, Trial, run_trial
 from protocol.settings import BadSetting
@@ -96,7 +96,7 @@ def test_a_scenario_file_that_changes_in_the_middle_of_a_study_is_named_and_the_
 def test_a_study_goes_on_when_its_reader_has_gone() -> None:
     program = """
 import sys
-from deploy.cli.study_progress import console_of
+from deploy.cli.study import console_of
 console = console_of(False)
 for line in ("begun", "the table"):
     console.print(line)

@@ -108,10 +108,10 @@ def study(
     workers
         Processes; default: one for each core.
     """
-    from deploy.cli.study import checked_plan, default_folder
-    from deploy.cli.study_progress import console_of, run_open_trials
+    from deploy.cli.study import checked_plan, console_of, default_folder
     from deploy.installation import need_study_packages
     from deploy.studies.design import check_workers, design_fields, design_with, dotted_options
+    from deploy.studies.open_trials import run_open_trials
     from deploy.studies.trials import run_trial
 
     need_study_packages("covey.study")

@@ -12,7 +12,6 @@ from contextlib import closing, contextmanager, nullcontext
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn
 
-from deploy.cli.errors import lead_nowhere
 from deploy.simulation import compile_once
 from deploy.studies.engines import (
     FinishedTrials,
@@ -29,23 +28,7 @@ from deploy.studies.results import StudyFolder
 from deploy.studies.trials import Row, cost, newest_source
 from protocol.settings import BadSetting
 
-PLAIN_WIDTH = 180  # columns where there is no terminal
 PLAIN_PERIOD = 20.0  # s between two lines where there is no terminal
-
-
-class StudyConsole(Console):
-    """A console whose reader may go: the study goes on for hours, and its results are kept."""
-
-    def on_broken_pipe(self) -> None:
-        """Called while the error is handled."""
-        lead_nowhere(2 if self.stderr else 1)
-        self.quiet = True
-
-
-def console_of(as_json: bool) -> Console:
-    """The console for people: standard output, or standard error when standard output carries JSON."""
-    console = StudyConsole(stderr=as_json, highlight=False)
-    return console if console.is_terminal else StudyConsole(stderr=as_json, highlight=False, width=PLAIN_WIDTH)
 
 
 def run_open_trials(
