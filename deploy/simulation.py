@@ -174,12 +174,3 @@ class Simulation:
 
 def _give_up(refused: BadSetting) -> None:
     raise refused
-
-
-def simulate(scenario: Scenario, *, progress: Callable[[int, int], None] | None = None) -> Result:
-    """The result of a scenario, played in virtual time; `progress` is called with (ticks done, ticks in all)."""
-    simulation = Simulation(scenario)
-    if progress is not None:
-        tell = progress
-        simulation.on_truth = lambda truth: tell(truth.tick + 1, scenario.run.ticks)
-    return simulation.run()

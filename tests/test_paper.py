@@ -23,7 +23,7 @@ from agents.tracking.phd import correct, resample
 from agents.tracking.regions import in_view, moments
 from agents.tracking.step import Step
 from deploy.scenario import TeamSettings, resolve, team_counts
-from deploy.simulation import simulate
+from deploy.simulation import Simulation
 from protocol.geometry import EMPTY, distances, polygon_area, polygon_centroid, rectangle
 from protocol.pose import integrate
 from protocol.sensing import SENSOR_CLASSES, WedgeSensor
@@ -366,7 +366,7 @@ def test_conjecture_1_the_gain_over_equal_weights_is_larger_at_level_3_than_at_l
     for composition in ("20E+20F", "20E+4H"):
         changes = {"run.seed": 100, "run.dt": 0.5, "run.seconds": 150.0, "team.composition": composition}
         power, equal = [
-            simulate(resolve("heterogeneity", changes | {"partition.kind": kind})).steady_ospa for kind in ("power", "voronoi-cod")
+            Simulation(resolve("heterogeneity", changes | {"partition.kind": kind})).run().steady_ospa for kind in ("power", "voronoi-cod")
         ]
         gains.append(1.0 - power / equal)
     print("gain at level 1 {:.1%}, at level 3 {:.1%}".format(*gains))
@@ -442,7 +442,7 @@ def test_claim_targets_cross_the_border_and_their_number_stays_about_the_same() 
 def test_claim_of_section_iv_a_the_team_finds_all_targets() -> None:
     """IV-A: "All 8 targets are located inside sensor FoVs" after 200 s. Ambiguous: one run is shown. Over seeds the share of targets in
     view over the last 5 s is about .95 (docs/evidence/paper.md); here one seed, and more than four fifths of the target-time of the run."""
-    result = simulate(resolve("convergence", {"run.dt": 0.5}))
+    result = Simulation(resolve("convergence", {"run.dt": 0.5})).run()
     assert result.share_in_view > 0.8 and result.targets_in_view >= 7
 
 
@@ -451,9 +451,9 @@ def test_claim_of_section_iv_a_the_team_finds_all_targets() -> None:
 def test_claim_of_section_iv_b_power_beats_voronoi() -> None:
     """IV-B: "the power diagram methods consistently yield superior tracking accuracy": one pair of 150 s with the smallest team."""
     pair = [
-        simulate(
+        Simulation(
             resolve("efficacy", {"run.seed": 100, "run.dt": 0.5, "run.seconds": 150.0, "team.composition": "2", "partition.kind": kind})
-        )
+        ).run()
         for kind in ("power", "voronoi", "voronoi-cod")
     ]
     assert pair[0].steady_ospa < min(pair[1].steady_ospa, pair[2].steady_ospa)

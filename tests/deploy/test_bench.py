@@ -16,7 +16,7 @@ from deploy.bench.simulations import scale
 from deploy.bench.timing import in_turns, median_seconds, table
 from deploy.installation import command, environment
 from deploy.scenario import Scenario, resolve
-from deploy.simulation import Simulation, compiled, simulate
+from deploy.simulation import Simulation, compiled
 from protocol.settings import BadSetting
 
 
@@ -28,7 +28,7 @@ def small(seconds: float = 30.0) -> Scenario:
 @pytest.mark.slow
 def test_the_central_reference_does_the_same_work() -> None:
     """The swarm is one central filter cut into cells; estimates at borders and starts differ a little."""
-    assert central.play(small(), compiled()) == pytest.approx(simulate(small()).steady_ospa, abs=0.5)
+    assert central.play(small(), compiled()) == pytest.approx(Simulation(small()).run().steady_ospa, abs=0.5)
 
 
 def test_a_captured_round_replays_to_the_command_that_was_given() -> None:

@@ -7,7 +7,7 @@ from deploy.scenario import FaultSettings, resolve
 from deploy.scoring.chronicle import Chronicle, ScoredTick, names_of, shares
 from deploy.scoring.deaths import Deaths
 from deploy.scoring.result import EventReport
-from deploy.simulation import Simulation, simulate
+from deploy.simulation import Simulation
 
 
 def box(west: float, south: float, east: float, north: float) -> np.ndarray:
@@ -248,7 +248,7 @@ def test_the_result_of_a_run_tells_every_death_and_return_and_a_paused_agent_is_
         FaultSettings(at=20.0, verb="restart", who="s2"),
     )
     scenario = resolve("quick", {"run.seconds": 30.0, "targets.count": 6})
-    result = simulate(msgspec.structs.replace(scenario, faults=faults))
+    result = Simulation(msgspec.structs.replace(scenario, faults=faults)).run()
     texts = [told.text for told in result.events]
     assert any(text.startswith("s2 died at ") and "took its cell within" in text for text in texts)
     assert any(text.startswith("s5 is paused at 1") for text in texts)

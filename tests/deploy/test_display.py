@@ -20,7 +20,7 @@ from deploy.cli.errors import guarded
 from deploy.cli.simulate import ProgressLine, simulate_here
 from deploy.scenario import resolve
 from deploy.scoring.result import Result
-from deploy.simulation import simulate
+from deploy.simulation import Simulation
 from deploy.storage.kept_runs import kept_runs
 from tests.deploy.test_machine_refusals import ROOT, namespaced, program, started
 from tests.deploy.wrong_inputs import folder
@@ -46,7 +46,7 @@ def full(monkeypatch: pytest.MonkeyPatch) -> Callable[[], None]:
 
 @functools.cache
 def short_result() -> Result:
-    return simulate(resolve("quick", {"run.seconds": 0.5}))
+    return Simulation(resolve("quick", {"run.seconds": 0.5})).run()
 
 
 def test_an_output_that_is_full_after_the_first_line_is_given_up(full: Any, capsys: pytest.CaptureFixture[str]) -> None:

@@ -11,7 +11,7 @@ import pytest
 from agents.coverage.capacity import sensor_facts
 from covey.examples.sensors import DATA, RangeFalling, SampledGrid
 from deploy.scenario import resolve
-from deploy.simulation import simulate
+from deploy.simulation import Simulation
 from protocol.geometry import polygon_area
 from protocol.sensing import Pose, SensorModel
 from protocol.settings import BadSetting
@@ -105,7 +105,7 @@ def test_the_data_are_shipped_beside_the_module() -> None:
 
 @pytest.mark.slow
 def test_a_swarm_of_such_sensors_tracks_targets_without_a_hole() -> None:
-    result = simulate(resolve("anisotropic", {"run.dt": 0.5, "run.seconds": 24.0}))
+    result = Simulation(resolve("anisotropic", {"run.dt": 0.5, "run.seconds": 24.0})).run()
     assert result.agents == 12 and result.ticks == 48
     assert result.hole_area < 1e-9 and result.mass_residual < 1e-9
     assert result.share_in_view > 0.5 and result.steady_ospa < 8.0

@@ -23,7 +23,7 @@ from covey.arguments import checked
 from deploy.cli.options import RunOptions
 from deploy.faults.faults import check_faults
 from deploy.scenario import resolve
-from deploy.simulation import simulate
+from deploy.simulation import Simulation
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -76,7 +76,7 @@ def run() -> Iterator[covey.Run]:
 
 
 def test_a_run_is_that_of_the_simulation_and_its_arrays_are_the_series_behind_the_result(run: covey.Run) -> None:
-    result = simulate(resolve("quick", {"run.seconds": 10.0, "run.seed": 3, "run.clock": "lockstep"}))
+    result = Simulation(resolve("quick", {"run.seconds": 10.0, "run.seed": 3, "run.clock": "lockstep"})).run()
     assert run.result.transcript == result.transcript
     assert len(run) == len(run.ospa) == result.ticks == 40
     assert run.ospa.mean() == pytest.approx(result.mean_ospa, rel=1e-12)

@@ -12,7 +12,7 @@ import pytest
 from agents.coverage.laws import control_law
 from deploy.scenario import parse_set, resolve
 from deploy.scoring.result import Result
-from deploy.simulation import Simulation, simulate
+from deploy.simulation import Simulation
 from deploy.studies.bodies import BodyRun
 from deploy.studies.robustness import Bout
 from deploy.studies.trials import FLAGS, LEFT_OUT, METHODS, Trial, check_method, cost, fingerprint, flat_settings, own_code, run_trial
@@ -69,7 +69,7 @@ def test_a_trial_is_repeated_by_the_command_in_its_row() -> None:
         overrides[name] = parsed
         assert flag == "--set" or value == str(parsed)
     assert msgspec.to_builtins(resolve("quick", overrides)) == msgspec.to_builtins(one.resolve())
-    assert simulate(resolve("quick", overrides)).transcript == row["transcript"]
+    assert Simulation(resolve("quick", overrides)).run().transcript == row["transcript"]
 
 
 def test_the_command_of_a_trial_says_tables_and_texts_as_toml() -> None:

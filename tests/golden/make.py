@@ -15,7 +15,7 @@ from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
-from deploy.simulation import simulate
+from deploy.simulation import Simulation
 from tests.golden.cases import CASES, OSPA_SEEDS, PARTITIONS, TICKS, Case, case_of, ospa_scenario
 from tests.golden.fields import FIELDS, digest
 from tests.golden.record import Record, Said, difference, names_in, play, record_of
@@ -35,7 +35,7 @@ def check(case: Case) -> str:
 
 def steady_ospa(run: tuple[str, int]) -> float:
     """Of a partition method and a seed, m."""
-    return round(simulate(ospa_scenario(*run)).steady_ospa, 9)
+    return round(Simulation(ospa_scenario(*run)).run().steady_ospa, 9)
 
 
 def make() -> None:

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from deploy.scenario import resolve
-from deploy.simulation import simulate
+from deploy.simulation import Simulation
 from protocol.codec import encode
 from protocol.keys import message_key
 from protocol.messages import BodyPose, Halt, Observation
@@ -25,7 +25,7 @@ STILL = 1e-9  # m between two observations
 
 
 def simulated() -> str:
-    return simulate(resolve("convergence", {"team.composition": "E8", "run.seconds": 10.0, "run.seed": 3})).transcript
+    return Simulation(resolve("convergence", {"team.composition": "E8", "run.seconds": 10.0, "run.seed": 3})).run().transcript
 
 
 def speeds(journal: Journal, name: str, start: float, end: float = math.inf) -> list[tuple[float, float]]:

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from deploy.scenario import resolve
-from deploy.simulation import simulate
+from deploy.simulation import Simulation
 from protocol.messages import Observation
 from tests.live.harness import PATIENT, Covey, Journal, rows
 
@@ -92,7 +92,7 @@ def test_wall_clocks_that_jump_by_288_s_back_and_forth_in_the_middle_of_a_run_ch
     assert supervisor.returncode == 0, complaints
     result = json.loads(output.splitlines()[-1])
     assert before < result["ticks"] == 320 and result["kills"] == []
-    assert result["transcript"] == simulate(resolve("quick", {"run.seconds": 80.0})).transcript
+    assert result["transcript"] == Simulation(resolve("quick", {"run.seconds": 80.0})).run().transcript
     for log in (covey.runs / "latest" / "logs").glob("s*.jsonl"):
         assert abs(json.loads(log.read_text().splitlines()[-1])["time"] - time.time()) > JUMP - 100.0, Path(log).name
 

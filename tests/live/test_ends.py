@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from deploy.scenario import resolve
-from deploy.simulation import simulate
+from deploy.simulation import Simulation
 from tests.live.harness import BOUND, PATIENT, ROOT, Covey
 
 pytestmark = pytest.mark.live
@@ -117,7 +117,7 @@ def test_a_monitor_that_was_behind_scores_what_was_said_before_the_end(covey: Co
     output, complaints = supervisor.communicate(timeout=BOUND)
     assert supervisor.returncode == 0, complaints
     scenario = resolve("convergence", {"team.composition": "E4", "run.seconds": 15.0, "run.seed": 3})
-    assert json.loads(output.splitlines()[-1])["transcript"] == simulate(scenario).transcript
+    assert json.loads(output.splitlines()[-1])["transcript"] == Simulation(scenario).run().transcript
 
 
 @pytest.mark.parametrize(
@@ -175,7 +175,7 @@ def test_two_runs_on_one_machine_do_not_hear_each_other(covey: Covey) -> None:
         output, complaints = process.communicate(timeout=300)
         assert process.returncode == 0, complaints
         result = json.loads(output.splitlines()[-1])
-        assert result["transcript"] == simulate(resolve("quick", {"run.seconds": 15.0, "run.seed": seed})).transcript
+        assert result["transcript"] == Simulation(resolve("quick", {"run.seconds": 15.0, "run.seed": seed})).run().transcript
     covey.wait_until_gone()
 
 
@@ -188,7 +188,7 @@ def test_two_runs_of_one_name_in_two_folders_do_not_hear_each_other(covey: Covey
         for where, process in runs:
             output, complaints = process.communicate(timeout=300)
             assert process.returncode == 0, complaints
-            assert json.loads(output.splitlines()[-1])["transcript"] == simulate(resolve("quick", {"run.seconds": 15.0})).transcript
+            assert json.loads(output.splitlines()[-1])["transcript"] == Simulation(resolve("quick", {"run.seconds": 15.0})).run().transcript
             where.wait_until_gone()
     finally:
         other.kill_all()

@@ -11,7 +11,7 @@ import pytest
 
 from deploy.recording.recording import Recording
 from deploy.scenario import resolve
-from deploy.simulation import simulate
+from deploy.simulation import Simulation
 from tests.live.harness import PATIENT, Covey
 
 pytestmark = [pytest.mark.live, pytest.mark.slow]
@@ -20,7 +20,7 @@ ROOM = 200_000  # bytes that a file may have: a disk that is soon full
 
 def transcript(seconds: float) -> str:
     """Of the same run in virtual time, which nobody watches."""
-    return simulate(resolve("quick", {"run.seconds": seconds})).transcript
+    return Simulation(resolve("quick", {"run.seconds": seconds})).run().transcript
 
 
 def ended(process: subprocess.Popen[str]) -> dict:

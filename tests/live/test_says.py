@@ -16,7 +16,7 @@ import pytest
 
 from deploy.scenario import resolve
 from deploy.scoring.scores import read_scores
-from deploy.simulation import simulate
+from deploy.simulation import Simulation
 from tests.live.harness import BOUND, PATIENT, ROOT, Covey, rows
 
 pytestmark = pytest.mark.live
@@ -82,7 +82,7 @@ def address_in(text: str) -> str:
 @pytest.mark.slow
 def test_the_pace_of_a_lockstep_run_changes_no_bit_of_it(covey: Covey) -> None:
     result = covey.result("up", "quick", "--lockstep", "--seconds", "10", "--set", "run.max_rate=5", *PATIENT)
-    assert result["transcript"] == simulate(resolve("quick", {"run.seconds": 10.0})).transcript
+    assert result["transcript"] == Simulation(resolve("quick", {"run.seconds": 10.0})).run().transcript
     assert result["tick_rate"]["asked_per_s"] == 5.0 / result["dt"]
     assert result["tick_rate"]["ticks_per_s"] <= 1.05 * result["tick_rate"]["asked_per_s"]
 

@@ -14,7 +14,7 @@ import zenoh
 
 from deploy.live.certificates import make_keys
 from deploy.scenario import resolve
-from deploy.simulation import simulate
+from deploy.simulation import Simulation
 from protocol import codec, keys, live
 from protocol.endpoints import free_port
 from protocol.message import Message
@@ -176,7 +176,7 @@ def test_nothing_that_a_stranger_or_an_insider_forges_is_delivered_and_strangers
     of_one = ("observation", "command", "estimate")
     assert not [key for key in strangers["insider"].heard if key.split("/")[2] in of_one and not key.endswith("/s1")]
     result = json.loads(output.splitlines()[-1])
-    simulated = simulate(resolve("quick", {"run.seconds": 20.0}))
+    simulated = Simulation(resolve("quick", {"run.seconds": 20.0})).run()
     assert result["transcript"] == simulated.transcript
     assert result["ticks"] == simulated.ticks
     for log in (covey.folder / "runs" / "latest" / "logs").glob("s[1-6].jsonl"):

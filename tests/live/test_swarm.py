@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from deploy.scenario import resolve
-from deploy.simulation import simulate
+from deploy.simulation import Simulation
 from protocol import keys, live
 from protocol.settings import NetworkSettings
 from tests.live.harness import PATIENT, Covey, rows
@@ -19,7 +19,7 @@ pytestmark = pytest.mark.live
 
 def test_sixteen_processes_in_lockstep_follow_the_simulation_to_the_last_bit(covey: Covey) -> None:
     result = covey.result("up", "convergence", "--lockstep", "--seconds", "10", "--seed", "3", *PATIENT)
-    simulated = simulate(resolve("convergence", {"run.seconds": 10.0, "run.seed": 3}))
+    simulated = Simulation(resolve("convergence", {"run.seconds": 10.0, "run.seed": 3})).run()
     assert result["transcript"] == simulated.transcript
     assert result["ticks"] == simulated.ticks == 40
     assert result["mean_ospa"] == simulated.mean_ospa
@@ -32,7 +32,7 @@ def test_a_live_swarm_that_searches_and_tracks_follows_the_simulation_to_the_las
     words = ("--team", "A2,B2", "--seconds", "10", "--seed", "3", "--control", "search-and-track", *PATIENT)
     result = covey.result("up", "quick", "--lockstep", *words)
     options = {"team.composition": "A2,B2", "run.seconds": 10.0, "run.seed": 3, "control.mode": "search-and-track"}
-    assert result["transcript"] == simulate(resolve("quick", options)).transcript
+    assert result["transcript"] == Simulation(resolve("quick", options)).run().transcript
 
 
 @pytest.mark.slow
@@ -43,7 +43,7 @@ def test_live_swarms_over_recorded_people_and_ships_follow_the_simulation_to_the
 ) -> None:
     """A tick of the ships lasts 5 s."""
     result = covey.result("up", recorded, "--lockstep", "--seconds", str(seconds), "--seed", "3", *PATIENT)
-    assert result["transcript"] == simulate(resolve(recorded, {"run.seconds": seconds, "run.seed": 3})).transcript
+    assert result["transcript"] == Simulation(resolve(recorded, {"run.seconds": seconds, "run.seed": 3})).run().transcript
 
 
 @pytest.mark.slow
@@ -52,7 +52,7 @@ def test_a_live_swarm_of_gaussian_mixtures_follows_the_simulation_to_the_last_bi
     words = ("--team", "A2,B2", "--seconds", "10", "--seed", "3", "--set", "filter.kind=gaussian-mixture", *PATIENT)
     result = covey.result("up", "quick", "--lockstep", *words)
     options = {"team.composition": "A2,B2", "run.seconds": 10.0, "run.seed": 3, "filter.kind": "gaussian-mixture"}
-    assert result["transcript"] == simulate(resolve("quick", options)).transcript
+    assert result["transcript"] == Simulation(resolve("quick", options)).run().transcript
 
 
 @pytest.mark.slow
@@ -115,7 +115,7 @@ def test_garbage_on_every_key_changes_nothing_but_a_counter(covey: Covey) -> Non
     thrown = asyncio.run(vandal())
     assert supervisor.stdout is not None
     result = json.loads(supervisor.stdout.read().splitlines()[-1])
-    simulated = simulate(resolve("quick", {"run.seconds": 30.0}))
+    simulated = Simulation(resolve("quick", {"run.seconds": 30.0})).run()
     assert thrown > 100
     assert result["transcript"] == simulated.transcript
     logs = list((covey.folder / "runs" / "latest" / "logs").glob("s*.jsonl"))
