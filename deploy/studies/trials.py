@@ -7,9 +7,7 @@ with it target tracks, starts and every die of the detectors.
 import hashlib
 import json
 import shlex
-import sys
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -18,11 +16,12 @@ import msgspec
 
 from agents.config import AgentConfig, ControlSettings
 from agents.coverage.laws import control_law
-from deploy.scenario import SEARCH_EXTRACTION, Scenario, find, resolve, toml_value, user_classes
+from deploy.scenario import SEARCH_EXTRACTION, Scenario, find, resolve, toml_value
 from deploy.scoring.error_parts import ErrorParts
 from deploy.scoring.result import Result
 from deploy.simulation import Simulation
-from protocol.settings import BadOption, BadSetting, load_named
+from deploy.studies.own_code import class_files, own_code
+from protocol.settings import BadOption, BadSetting
 
 Row = dict[str, Any]
 ROOMS = Path(__file__).resolve().parents[2]  # the folder that holds the rooms
@@ -132,28 +131,9 @@ def key_of(made_of: list[Any], scenario: Scenario) -> str:
     Each of these files, and that of the scenario, may have changed meanwhile.
     """
     digest = hashlib.blake2b(json.dumps(made_of).encode() + msgspec.json.encode(scenario), digest_size=8)
-    for file in [*_class_files(scenario), *_recorded_files(scenario)]:
+    for file in [*class_files(scenario), *_recorded_files(scenario)]:
         digest.update(hashlib.blake2b(file.read_bytes()).digest())
     return digest.hexdigest()
-
-
-def _class_files(scenario: Scenario) -> list[Path]:
-    """The source files of the user's own classes: of each the named module, and the one that the class comes from."""
-    found: set[Path] = set()
-    for name in user_classes(scenario):
-        with suppress(ValueError, ImportError):  # a class that cannot be loaded is refused where the run builds it
-            modules = {name.partition(":")[0], getattr(load_named(name), "__module__", "")}
-            sources = [getattr(sys.modules.get(module), "__file__", None) for module in modules]
-            found.update(Path(source) for source in sources if source)
-    return sorted(found)
-
-
-def own_code(scenario: Scenario) -> str:
-    """A hash of the files of the user's own classes; empty where there are none."""
-    digest, files = hashlib.blake2b(digest_size=6), _class_files(scenario)
-    for file in files:
-        digest.update(hashlib.blake2b(file.read_bytes()).digest())
-    return digest.hexdigest() if files else ""
 
 
 def _recorded_files(scenario: Scenario) -> list[Path]:

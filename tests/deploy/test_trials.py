@@ -14,8 +14,9 @@ from deploy.scenario import parse_set, resolve
 from deploy.scoring.result import Result
 from deploy.simulation import Simulation
 from deploy.studies.bodies import BodyRun
+from deploy.studies.own_code import class_files, own_code
 from deploy.studies.robustness import Bout
-from deploy.studies.trials import FLAGS, LEFT_OUT, METHODS, Trial, check_method, cost, fingerprint, flat_settings, own_code, run_trial
+from deploy.studies.trials import FLAGS, LEFT_OUT, METHODS, Trial, check_method, cost, fingerprint, flat_settings, run_trial
 from protocol.observer_messages import Truth
 from protocol.settings import BadSetting
 
@@ -68,6 +69,7 @@ def test_a_trial_is_repeated_by_the_command_in_its_row() -> None:
         name, parsed = parse_set(value) if flag == "--set" else (dotted[flag], one.overrides()[dotted[flag]])
         overrides[name] = parsed
         assert flag == "--set" or value == str(parsed)
+    overrides = {"run.clock": "lockstep", **overrides}
     assert msgspec.to_builtins(resolve("quick", overrides)) == msgspec.to_builtins(one.resolve())
     assert Simulation(resolve("quick", overrides)).run().transcript == row["transcript"]
 
@@ -108,6 +110,12 @@ def test_progress_is_told_tick_by_tick() -> None:
     assert told == pytest.approx([tick / 10.0 for tick in range(1, 11)])
 
 
+def test_a_trial_is_played_in_lockstep_unless_its_settings_say_otherwise() -> None:
+    assert run_trial(trial(**{"run.seconds": 1.0}))["run.clock"] == "lockstep"
+    late = trial(**{"run.seconds": 1.0, "run.clock": "realtime"})
+    assert run_trial(late)["run.clock"] == "realtime" and "--set 'run.clock=\"realtime\"'" in late.command()
+
+
 def test_keys_differ_in_every_setting_and_in_nothing_else() -> None:
     others = [trial("voronoi"), trial(seed=4), trial(**{"run.dt": 0.25}), msgspec.structs.replace(trial(), team="A2,B3")]
     assert len({other.key() for other in [trial(), *others]}) == 5
@@ -136,6 +144,31 @@ def test_a_class_of_the_users_own_that_has_changed_gives_the_runs_of_all_studies
     for before, after in zip(*found):
         assert len(before) == 3 and not before & after
     assert len(hashes) == 2
+
+
+def test_all_files_of_the_users_that_a_class_imports_belong_to_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Modules and packages, relative imports, one inside of a function, a circle; no package that is installed, and none of Covey."""
+    monkeypatch.syspath_prepend(tmp_path)
+    imports = "import numpy\nimport covey\nimport helps_it\nfrom . import near\nfrom .deep.far import FAR\n"
+    texts = {
+        "laboratory/law.py": f"{imports}class Law:\n    def command(self, situation):\n        import comes_late\n",
+        "laboratory/near.py": "import laboratory.law\n",
+        "laboratory/deep/__init__.py": "",
+        "laboratory/deep/far.py": "FAR = 1.0\n",
+        "helps_it.py": "from helps_it_too import *\n",
+        "helps_it_too.py": "",
+        "comes_late.py": "",
+    }
+    for name, text in texts.items():
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_text(text)
+    scenario = trial(**{"control.mode": "laboratory.law:Law"}).resolve()
+    assert [file.relative_to(tmp_path).as_posix() for file in class_files(scenario)] == sorted(texts)
+    hashes = {own_code(scenario)}
+    for name in texts:
+        (tmp_path / name).write_text(f"{texts[name]}# changed\n")
+        hashes.add(own_code(scenario))
+    assert len(hashes) == 1 + len(texts)
 
 
 @pytest.mark.parametrize("data", ["crowd", "crowd/one.txt"])
