@@ -102,8 +102,8 @@ class Trial(msgspec.Struct, frozen=True, kw_only=True):
         return {**self.options, **own, **settings_of(self.method)}
 
     def resolve(self) -> Scenario:
-        """The scenario to run; raises BadSetting naming what is wrong."""
-        return resolve(self.scenario, self.overrides())
+        """The scenario to run, in lockstep unless the settings say something else; raises BadSetting naming what is wrong."""
+        return resolve(self.scenario, {"run.clock": "lockstep", **self.overrides()})
 
     def file(self) -> Path:
         """The file of its scenario."""
@@ -198,7 +198,7 @@ def _source_files(parts: Sequence[str]) -> list[Path]:
 def run_trial(trial: Trial, progress: Callable[[float], None] = lambda share: None) -> Row:
     """Play a trial and return its row; `progress` is told the share of the ticks that are done."""
     scenario = trial.resolve()
-    simulation = Simulation(scenario)
+    simulation = Simulation(scenario, clock=scenario.run.clock)
     simulation.on_truth = lambda truth: progress((truth.tick + 1) / scenario.run.ticks)
     parts = ErrorParts(scenario)
     simulation.scorer.on_scored = parts.see

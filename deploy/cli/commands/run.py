@@ -1,7 +1,7 @@
 """Commands that run a scenario: names, options and help."""
 
 from dataclasses import replace
-from typing import Annotated, Literal
+from typing import Annotated
 
 from deploy.cli.app import RUN, OpenPage, Options, PageAddress, RecordFile, ScenarioName, TraceFile, app
 from deploy.cli.options import FLAG, DisplayOptions, RunOptions
@@ -92,6 +92,6 @@ def simulate(
     """
     from deploy.cli.simulate import simulate_here
 
-    clock: Literal["lockstep", "realtime"] = "lockstep" if options.rate in (None, "auto") or options.lockstep else "realtime"
     resolved = options.scenario(scenario)
+    clock = options.overrides().get("run.clock", "lockstep")  # that of a file is the one of processes
     return simulate_here(resolved, options.requested_name(resolved), options.json, record, trace, clock)

@@ -79,7 +79,7 @@ def scenario(
     loss, delay
         Share of the messages between agents that is lost, and how many s they are late.
     rate
-        World seconds per second, without waiting for late agents; default: the world waits for every agent.
+        World seconds per second, without waiting for late agents; default: the world waits for every agent, or what a Scenario says.
     settings
         Any setting by its dotted name, such as {"detection.clutter": 0.5}. Your own motions and platforms are named here, as texts
         "module:Class".
@@ -100,7 +100,7 @@ def scenario(
         kill=[kill] if isinstance(kill, str) else list(kill),
         loss=loss,
         delay=delay,
-        lockstep=rate is None,
+        lockstep=rate is None and not isinstance(name, Scenario),
         rate=rate,
     )
     if not isinstance(name, Scenario):
