@@ -13,6 +13,7 @@ import tomli_w
 from agents.config import AgentConfig, ExtractionSettings
 from protocol.endpoints import check_files
 from protocol.settings import (
+    BadOption,
     BadSetting,
     Fraction,
     NetworkSettings,
@@ -127,6 +128,13 @@ def team_counts(team: TeamSettings) -> dict[str, int]:
     if not 0 < sum(counts.values()) <= 10000:
         raise BadSetting(f"team.composition = {team.composition!r}: a team has 1 to 10000 sensors")
     return counts
+
+
+def check_triple(composition: str, triple: object) -> None:
+    """Raise BadOption for sensor classes that were given with a team that does not read them."""
+    if triple is not None and composition.strip() not in PAPER_TEAMS:
+        team = f"team {composition}" if composition.strip() else "agents by name"
+        raise BadOption("triple", triple, f"should be left out with {team}: teams {', '.join(PAPER_TEAMS)} alone have it")
 
 
 def find(name: str) -> Path:

@@ -155,9 +155,10 @@ class RunOptions:
         """The same without the checks beyond types, as for a scenario in which `mistakes` has found none."""
         import msgspec
 
-        from deploy.scenario import resolve
+        from deploy.scenario import check_triple, resolve
 
         scenario = resolve(name, {**self.overrides(), **dotted}, agents_too=agents_too)
+        check_triple(scenario.team.composition, self.triple)
         return msgspec.structs.replace(scenario, faults=(*scenario.faults, *self.faults()))
 
     def requested_name(self, scenario: "Scenario") -> str | None:

@@ -5,7 +5,7 @@ from typing import Any
 
 import msgspec
 
-from deploy.scenario import TeamSettings, team_counts
+from deploy.scenario import TeamSettings, check_triple, team_counts
 from deploy.studies.trials import ABLATIONS, Trial, check_free, check_method, settings_of
 from protocol.settings import BadOption, BadSetting
 
@@ -82,6 +82,7 @@ def plan(found: Design) -> list[Trial]:
     by_all = set.intersection(*(set(settings_of(name)) for name in found.methods))
     check_free(found.options, dict.fromkeys(by_all, "methods") | OWN_OPTIONS)
     for team in found.teams:
+        check_triple(team, found.options.get("team.triple"))
         team_counts(TeamSettings(composition=team, triple=found.options.get("team.triple", "ACD")))
     seeds = range(found.first_seed, found.first_seed + found.trials)
     trials = [

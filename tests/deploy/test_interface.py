@@ -20,6 +20,7 @@ import pytest
 import covey
 from covey import plugged
 from covey.arguments import checked
+from deploy.cli.commands.run import simulate as simulate_command
 from deploy.cli.options import RunOptions
 from deploy.faults.faults import check_faults
 from deploy.scenario import resolve
@@ -120,12 +121,31 @@ def test_a_scenario_can_be_laid_over_again_and_its_team_changed() -> None:
     assert covey.scenario(first) == first
 
 
+def test_a_triple_is_refused_where_no_team_has_one() -> None:
+    by_name = covey.scenario("quick", settings={"team.composition": "", "members.s1": "A"})
+    for base, team in ((by_name, "agents by name"), ("quick", r"team A2,B4"), (covey.scenario("quick"), r"team A2,B4")):
+        with pytest.raises(covey.BadSetting, match=rf"^triple = 'ABC': should be left out with {team}: teams 2, 3, 4, 5 alone have it$"):
+            covey.scenario(base, triple="ABC")
+
+
 def test_what_is_laid_over_a_scenario_gives_what_it_gives_over_its_name() -> None:
     for first in ("lloyd", "search-and-track"):
         base = covey.scenario("efficacy", control=first, rate=2.0)
         for law in ("lloyd", "search-and-track"):
-            assert covey.scenario(base, control=law) == covey.scenario("efficacy", control=law, settings={"run.rate": 2.0})
-        assert covey.scenario(base, triple="ABC", rate=2.0) == covey.scenario("efficacy", triple="ABC", control=first, rate=2.0)
+            assert covey.scenario(base, control=law) == covey.scenario("efficacy", control=law, rate=2.0)
+        assert covey.scenario(base, triple="ABC") == covey.scenario("efficacy", triple="ABC", control=first, rate=2.0)
+
+
+def test_a_clock_in_settings_is_that_of_a_simulation_in_python_and_on_the_command_line(capsys: pytest.CaptureFixture[str]) -> None:
+    """Messages come 0.4 s late: in lockstep the world waits for them."""
+    found = []
+    for clock in ("lockstep", "realtime"):
+        run = covey.simulate("quick", seconds=3, delay=0.4, settings={"run.clock": clock})
+        found.append(run.result.transcript)
+        assert simulate_command("quick", options=RunOptions(seconds=3.0, delay=0.4, settings=[f"run.clock={clock}"], json=True)) == 0
+        assert json.loads(capsys.readouterr().out.splitlines()[-1])["transcript"] == found[-1]
+        assert covey.simulate(run.scenario).result.transcript == found[-1]
+    assert found[0] != found[1]
 
 
 def test_own_classes_and_objects_do_what_their_names_do() -> None:

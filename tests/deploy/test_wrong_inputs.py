@@ -35,6 +35,7 @@ TYPED = [
     ("simulate quick --team 3 --triple AAC", 2, "team.triple = 'AAC': should be three different"),
     ("simulate efficacy --triple XYZ", 2, "efficacy.toml with options: team.triple: sensor class 'X' does not exist; known are A"),
     ("simulate quick --team 3Z --triple ABC", 2, "team.composition: sensor class 'Z' does not exist"),
+    ("simulate quick --triple ABC", 2, "--triple ABC: should be left out with team A2,B4: teams 2, 3, 4, 5 alone have it"),
     ("simulate quick --partition hexagon", 2, 'Choose from: "power"'),
     ("simulate quick --capacity much", 2, 'Choose from: "literal"'),
     ("simulate quick --control nowhere", 2, "control.mode = 'nowhere': known are lloyd"),
