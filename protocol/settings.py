@@ -211,7 +211,7 @@ def load_named(name: str) -> Any:
     return getattr(found, attribute)
 
 
-_BUILT: dict[int, tuple[SensorSettings, SensorModel]] = {}  # settings by their id -> settings and model; equal settings share one model
+_BUILT: dict[int, tuple[SensorSettings, SensorModel | ValueError]] = {}  # settings by their id -> settings, and model or what is wrong
 _MOST_BUILT = 256
 
 
@@ -224,16 +224,17 @@ def sensor_of(settings: CommonSettings, sensor_class: str) -> SensorModel:
     if own is None:
         raise BadSetting(f"sensor class {sensor_class!r} does not exist; known are {', '.join(known)}")
     known_as, built = _BUILT.get(id(own), (None, None))
-    if known_as is own and built is not None:
-        return built
-    try:
+    if known_as is not own or built is None:
         if len(_BUILT) >= _MOST_BUILT:
             _BUILT.clear()
-        built = own.build(SENSOR_CLASSES.get(sensor_class))
+        try:
+            built = own.build(SENSOR_CLASSES.get(sensor_class))
+        except ValueError as error:  # is kept too: each Hello of such a class would build it anew
+            built = error
         _BUILT[id(own)] = own, built
-        return built
-    except ValueError as error:
-        raise BadSetting(f"sensors.{sensor_class}: {error}") from error.__cause__
+    if isinstance(built, ValueError):
+        raise BadSetting(f"sensors.{sensor_class}: {built}") from built.__cause__
+    return built
 
 
 T = TypeVar("T")

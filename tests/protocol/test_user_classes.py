@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from protocol.sensing import SENSOR_CLASSES, SensorModel
-from protocol.settings import BadSetting
+from protocol.settings import BadSetting, CommonSettings, SensorSettings, sensor_of
 from protocol.user_classes import CheckedSensor, as_bad_setting, probe, real_array
 
 WEDGE = SENSOR_CLASSES["A"]
@@ -63,3 +63,23 @@ def test_an_error_without_a_line_of_the_users_names_no_line() -> None:
 
     with pytest.raises(BadSetting, match=r"raised TypeError: .* takes 1 positional argument but 3 were given$"):
         CheckedSensor(Blind(), "mine:Blind").probability(POINTS, (0.0, 0.0, 0.0))  # type: ignore[arg-type]
+
+
+class Broken:
+    """A sensor that cannot be built."""
+
+    tries = 0
+
+    def __init__(self) -> None:
+        Broken.tries += 1
+        raise OSError("no camera")
+
+
+def test_why_a_class_cannot_be_built_is_found_once_and_told_each_time() -> None:
+    """Each Hello with its name asks for it."""
+    settings = CommonSettings(sensors={"X": SensorSettings(model=f"{__name__}:Broken")})
+    for _ in range(3):
+        with pytest.raises(BadSetting, match=r"^sensors\.X: .*:Broken raised OSError: no camera") as caught:
+            sensor_of(settings, "X")
+        assert isinstance(caught.value.__cause__, OSError)
+    assert Broken.tries == 1
