@@ -39,22 +39,37 @@ from agents.tracking.measurement_likelihood import BEARING, LARGEST_DEVIATION, N
 
 
 @njit
-def _raster(x: np.ndarray, y: np.ndarray, detections: np.ndarray, spreads: np.ndarray, side: float) -> tuple:
+def _raster(
+    x: np.ndarray, y: np.ndarray, detections: np.ndarray, spreads: np.ndarray, table: np.ndarray, sensors: np.ndarray, side: float
+) -> tuple:
     """The grid of bins of `side` m for `_missed`: its first column, its first row, masses, explained masses, their rests and shares.
 
-    It covers the particles, the detections, and births within `spreads` (M,) m of the detections.
+    It covers the particles that a scan, a row of `table` in `sensors`, can see, the detections, and births within `spreads` (M,) m of them.
     """
-    west, south, east, north = math.inf, math.inf, -math.inf, -math.inf
-    for n in range(len(x)):
-        west, south, east, north = min(west, x[n]), min(south, y[n]), max(east, x[n]), max(north, y[n])
+    west, south, east, north = _box_in_reach(x, y, table, sensors, side)
     for m in range(len(detections)):
         px, py, spread = detections[m, 0], detections[m, 1], spreads[m]
         west, south, east, north = min(west, px - spread), min(south, py - spread), max(east, px + spread), max(north, py + spread)
-    if west > east:
+    if west > east or south > north:
         return 0, 0, np.zeros((1, 1)), np.zeros((1, 1)), np.zeros((1, 1)), np.zeros((1, 1))
     left, low = np.int64(math.floor(west / side)) - 2, np.int64(math.floor(south / side)) - 2
     shape = np.int64(math.floor(north / side)) - low + 3, np.int64(math.floor(east / side)) - left + 3
     return left, low, np.zeros(shape), np.zeros(shape), np.full(shape, -1.0), np.empty(shape)
+
+
+@njit
+def _box_in_reach(x: np.ndarray, y: np.ndarray, table: np.ndarray, sensors: np.ndarray, margin: float) -> tuple[float, float, float, float]:
+    """The box, west, south, east, north, around the points of the box around particles that scans reach, or almost; else an empty one."""
+    west, south, east, north = math.inf, math.inf, -math.inf, -math.inf
+    for n in range(len(x)):
+        west, south, east, north = min(west, x[n]), min(south, y[n]), max(east, x[n]), max(north, y[n])
+    first_x, first_y, last_x, last_y = math.inf, math.inf, -math.inf, -math.inf
+    for s in sensors:
+        for row in sigma_sensors(table[s]):
+            wide = row[REACH] + margin
+            first_x, first_y = min(first_x, row[X] - wide), min(first_y, row[Y] - wide)
+            last_x, last_y = max(last_x, row[X] + wide), max(last_y, row[Y] + wide)
+    return max(west, first_x), max(south, first_y), min(east, last_x), min(north, last_y)
 
 
 @njit
@@ -356,7 +371,7 @@ def correct(
     if on:
         densities = nearby(x[:count], y[:count], weights, detections, settings[run_columns.BIRTH_RADIUS])
     found, gained, in_view = _pair_buffers(2 * count + 256), np.empty(capacity), np.empty(capacity + 1, np.int64)
-    raster = _raster(x[:count], y[:count], detections, spreads, side)
+    raster = _raster(x[:count], y[:count], detections, spreads, table, sensors, side)
     at_columns, at_rows = np.empty(capacity, np.int64), np.empty(capacity, np.int64)
     for n in range(count):
         at_columns[n], at_rows[n] = _bin(x[n], y[n], side, raster[0], raster[1])

@@ -137,19 +137,19 @@ def missed(
     By Bayes' rule for one target of probability r, a missed target has probability r (1 - p_d) / (1 - r p_d). The PHD filter has
     r (1 - p_d), the rule for a Poisson number of targets. Both agree for small r.
     """
-    side, seen = settings.vicinity / BINS_IN_VICINITY, probability > 0.0
-    places = np.floor(np.vstack([particles.states[:, :2], detections]) / side).astype(np.int64)
-    if not len(particles.weights):
-        return np.ones(0)
+    side, seen, factors = settings.vicinity / BINS_IN_VICINITY, np.flatnonzero(probability > 0.0), np.ones(len(probability))
+    if not len(seen):
+        return factors
+    places = np.floor(np.vstack([particles.states[seen, :2], detections]) / side).astype(np.int64)
     left, low = places.min(axis=0) - 2
     shape = tuple((places.max(axis=0) - (left, low) + 3)[::-1])
     flat = (places[:, 1] - low) * shape[1] + (places[:, 0] - left)
-    own = flat[: len(gained)]
-    masses = block_sums(np.bincount(own, np.where(seen, particles.weights, 0.0), shape[0] * shape[1]).reshape(shape)).ravel()[own]
-    explained = block_sums(np.bincount(flat, np.concatenate([gained, born]), shape[0] * shape[1]).reshape(shape)).ravel()[own]
+    own, found = flat[: len(seen)], probability[seen]
+    masses = block_sums(np.bincount(own, particles.weights[seen], shape[0] * shape[1]).reshape(shape)).ravel()[own]
+    explained = block_sums(np.bincount(flat, np.concatenate([gained[seen], born]), shape[0] * shape[1]).reshape(shape)).ravel()[own]
     rest = np.maximum(masses - explained, 0.0)
-    factors = rest / _positive(masses) * ((1.0 - probability) / (1.0 - probability * np.minimum(rest, settings.certainty)))
-    return np.where(seen, factors, 1.0)
+    factors[seen] = rest / _positive(masses) * ((1.0 - found) / (1.0 - found * np.minimum(rest, settings.certainty)))
+    return factors
 
 
 def sample_size(mass: float, settings: FilterSettings) -> int:

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from agents.backend import PLAIN, Backend
+from agents.compiled.correction_kernels import _raster
 from agents.config import AgentConfig, BirthSettings, FilterSettings, PartitionSettings
 from agents.coverage.cells import cut
 from agents.gossip.table import CLUTTER_DENSITY, GossipTable
@@ -104,6 +105,16 @@ def test_a_miss_is_weighed_against_what_may_be_one_target(backend: Backend) -> N
     factors = [0.1 / (1.0 - 0.9 * rest) for rest in (0.6, 0.6, CONFIG.filter.certainty, CONFIG.filter.certainty, 0.3)]
     expected = [weight * factor for (_, _, weight), factor in zip(places, [*factors, 1.0])]
     assert found.updated.weights.tolist() == pytest.approx(expected, rel=1e-12)
+
+
+def test_the_bins_in_which_a_miss_is_weighed_cover_what_scans_reach_and_no_more() -> None:
+    """Particles lie along 1 km, and s1 reaches 20 m."""
+    east, detections = np.linspace(0.0, 1000.0, 101), np.array([[12.0, 30.0], [9.0, 30.0]])
+    for found, spreads in ((detections[:0], np.zeros(0)), (detections, np.array([0.0, 4.0]))):
+        raster = _raster(east, np.full(101, 30.0), found, spreads, table_of([said("s1", POSE)]).table, np.array([0]), 0.5)
+        left, low, shape = raster[0], raster[1], raster[2].shape
+        assert (left, low) == (-2, 58 if not len(found) else 50)
+        assert shape == (5 if not len(found) else 21, 66)
 
 
 @BOTH
