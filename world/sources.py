@@ -4,6 +4,8 @@ Data types: `Sources` holds the three. Each has one interface, and the world nod
 """
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
+from functools import lru_cache
 from pathlib import Path
 from typing import NamedTuple, Protocol
 
@@ -103,12 +105,29 @@ def body_source(config: WorldConfig) -> BodySource:
     return PhysicalBodies(config.run.dt, config.limits)
 
 
+def recorded_files(settings: RecordedSettings) -> list[Path]:
+    """The files of a recorded world; none where the targets are simulated, or where there are none."""
+    data = Path(settings.data)
+    if settings.kind == "none":
+        return []
+    return sorted(path for path in (data.iterdir() if data.is_dir() else [data]) if path.is_file())
+
+
+@lru_cache(maxsize=1)
+def _read(settings: RecordedSettings, stamps: tuple[tuple[Path, int, int], ...]) -> RecordedWorld:
+    """What the files hold, read once as long as the `stamps` of all of them are the same: checks, remarks and the run ask for it."""
+    return READERS[settings.kind](Path(settings.data), settings)
+
+
 def recording_of(config: WorldConfig) -> RecordedWorld:
     """The recording that a configuration names; raises BadSetting for a wrong file, a run that is longer than it, and too long ticks."""
     settings, run = config.recorded, config.run
     if not settings.data:
         raise BadSetting("recorded.data: is missing; `--data PATH` says where the files of this world are")
-    recording = READERS[settings.kind](Path(settings.data), settings)
+    stamps: tuple[tuple[Path, int, int], ...] = ()
+    with suppress(OSError):  # the reader says what is wrong
+        stamps = tuple((file, file.stat().st_mtime_ns, file.stat().st_size) for file in recorded_files(settings))
+    recording = _read(settings, stamps)
     if settings.start > recording.seconds:
         raise BadSetting(f"recorded.start = {settings.start:g}: the recording ends before; should be at most {recording.seconds:.1f}")
     end = settings.start + (run.ticks - 1) * run.dt

@@ -22,6 +22,7 @@ from deploy.scoring.result import Result
 from deploy.simulation import Simulation
 from deploy.studies.own_code import class_files, own_code
 from protocol.settings import BadOption, BadSetting
+from world.sources import recorded_files
 
 Row = dict[str, Any]
 ROOMS = Path(__file__).resolve().parents[2]  # the folder that holds the rooms
@@ -131,17 +132,9 @@ def key_of(made_of: list[Any], scenario: Scenario) -> str:
     Each of these files, and that of the scenario, may have changed meanwhile.
     """
     digest = hashlib.blake2b(json.dumps(made_of).encode() + msgspec.json.encode(scenario), digest_size=8)
-    for file in [*class_files(scenario), *_recorded_files(scenario)]:
+    for file in [*class_files(scenario), *recorded_files(scenario.recorded)]:
         digest.update(hashlib.blake2b(file.read_bytes()).digest())
     return digest.hexdigest()
-
-
-def _recorded_files(scenario: Scenario) -> list[Path]:
-    """The files of the recorded world; none where the targets are simulated."""
-    data = Path(scenario.recorded.data)
-    if scenario.recorded.kind == "none":
-        return []
-    return sorted(path for path in (data.iterdir() if data.is_dir() else [data]) if path.is_file())
 
 
 def check_free(options: Mapping[str, Any], taken: Mapping[str, str]) -> None:

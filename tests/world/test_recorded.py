@@ -13,7 +13,8 @@ from world.recorded.local_frame import LocalFrame
 from world.recorded.pedestrians import read_pedestrians
 from world.recorded.ships import read_ships
 from world.recorded.targets import RecordedTargets
-from world.sources import recording_of, sources_of
+from world.recorded.tracks import RecordedWorld
+from world.sources import READERS, recording_of, sources_of
 
 HEAD = "Time,MMSI,Latitude_degrees,Longitude_degrees,COG_degrees,SOG_knots"
 PEOPLE = RecordedSettings(kind="pedestrians", data="x")
@@ -246,6 +247,26 @@ def test_a_recording_that_is_not_there_or_too_short_is_named(options: dict[str, 
     with pytest.raises(BadSetting) as error:
         recording_of(world_config(resolve("students03", options)))
     assert str(error.value) == said
+
+
+def test_files_are_read_once_as_long_as_they_are_the_same(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Checks, remarks and the run ask for the recording."""
+    reads = []
+
+    def read(path: Path, settings: RecordedSettings) -> RecordedWorld:
+        reads.append(path)
+        return read_pedestrians(path, settings)
+
+    monkeypatch.setitem(READERS, "pedestrians", read)
+    found = []
+    for place in ("5", "6.5"):
+        file = people(tmp_path, f"0 1 {place} 5", "20 1 5 5")
+        config = world_config(resolve("quick", {"recorded.kind": "pedestrians", "recorded.data": str(file), "run.seconds": 0.5}))
+        for _ in range(2):
+            recording_of(config)
+            found.append(sources_of(config).targets.positions.tolist())
+    assert reads == [file, file]
+    assert found == [[[5.0, 5.0]]] * 2 + [[[6.5, 5.0]]] * 2
 
 
 def test_the_last_tick_of_a_run_lies_within_the_recording(tmp_path: Path) -> None:
