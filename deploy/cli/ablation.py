@@ -6,7 +6,7 @@ from pathlib import Path
 
 from rich.table import Table
 
-from deploy.cli.study import checked_plan, console_of
+from deploy.cli.study import checked_plan, console_of, plain
 from deploy.studies.ablation import PARTS, MethodSummary, lines
 from deploy.studies.design import OPEN_TEAMS, Design
 from deploy.studies.open_trials import run_open_trials
@@ -27,7 +27,7 @@ def run_ablation_study(found: Design, into: Path, workers: int | None, scheduler
     console.print(table_of(summary))
     console.print(", ".join(path.name for path in paths) + f" in {into}", soft_wrap=True)
     if as_json:
-        print(json.dumps({"study": "ablation", "trials": len(rows), "folder": str(into), "lines": [_plain(line) for line in summary]}))
+        print(json.dumps({"study": "ablation", "trials": len(rows), "folder": str(into), "lines": [plain(line) for line in summary]}))
     return 0
 
 
@@ -45,8 +45,3 @@ def table_of(summary: Sequence[MethodSummary]) -> Table:
             OPEN_TEAMS.get(line.group.team, line.group.team), str(line.group.targets), line.method, str(line.seeds), *numbers, gain
         )
     return table
-
-
-def _plain(line: MethodSummary) -> dict[str, object]:
-    """A line as plain values."""
-    return {**line._asdict(), **line.group._asdict(), "group": None}

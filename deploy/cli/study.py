@@ -12,6 +12,7 @@ from deploy.cli.errors import lead_nowhere
 from deploy.cli.scenario_checks import check_scenario
 from deploy.scenario import resolve
 from deploy.storage.run_directory import runs_folder
+from deploy.studies.ablation import MethodSummary
 from deploy.studies.design import Design, plan
 from deploy.studies.open_trials import run_open_trials
 from deploy.studies.paired import Comparison, Summary, compare, groups_of, summarise
@@ -111,17 +112,17 @@ def _p(value: float | None) -> str:
 def summaries(rows: Sequence[Row]) -> list[dict[str, object]]:
     """The table as plain values."""
     found = [summarise(rows, group, method) for group in groups_of(rows) for method in methods_of(rows)]
-    return [_plain(one) for one in found if one]
+    return [plain(one) for one in found if one]
 
 
 def pairs(rows: Sequence[Row]) -> list[dict[str, object]]:
     """The comparisons of the first method with each other one as plain values."""
     first, *others = methods_of(rows)
     found = [compare(rows, group, first, other) for group in groups_of(rows) for other in others]
-    return [_plain(pair) for pair in found if pair]
+    return [plain(pair) for pair in found if pair]
 
 
-def _plain(one: Summary | Comparison) -> dict[str, object]:
+def plain(one: Summary | Comparison | MethodSummary) -> dict[str, object]:
     """A tuple with its group's fields in place of the group."""
     fields = one._asdict()
     return {**fields.pop("group")._asdict(), **fields}
