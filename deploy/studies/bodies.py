@@ -100,7 +100,8 @@ def plan(trials: int, seed: int, seconds: float, models: Sequence[str], options:
     for model in models:
         if model not in MODELS:
             raise BadSetting(f"--methods {model}: should be one or more of {', '.join(MODELS)}")
-    check_free(options, {"run.seed": "seed", **{dotted: "methods" for changes in MODELS.values() for dotted in changes}})
+    sizes = {dotted: "methods" for changes in MODELS.values() for dotted in changes}
+    check_free(options, {"run.seed": "seed", "run.clock": "", **sizes})
     runs = [
         BodyRun(model=model, seed=number, seconds=seconds, options=options) for number in range(seed, seed + trials) for model in models
     ]

@@ -94,7 +94,7 @@ def code() -> str:
 
 def plan(trials: int, seed: int, at: float, seconds: float, options: dict[str, Any]) -> list[Bout]:
     """All bouts of a study, seed by seed; raises BadSetting for a run that ends too early or a team that is too small."""
-    check_free(options, {"run.seed": "seed"})
+    check_free(options, {"run.seed": "seed", "run.clock": ""})
     least = at + SETTLED + FIRST
     if trials < 1 or seconds < least:
         raise BadSetting(f"--trials {trials} --seconds {seconds:g}: should be at least one trial, and at least {least:g} s")

@@ -138,10 +138,11 @@ def key_of(made_of: list[Any], scenario: Scenario) -> str:
 
 
 def check_free(options: Mapping[str, Any], taken: Mapping[str, str]) -> None:
-    """Raise BadSetting for a setting of all runs that none of them would have; `taken` names the options by which a study sets it."""
+    """Raise BadSetting for a setting of all runs that none of them would have; `taken` names options by which a study sets it, or none."""
     for dotted in options:
         if dotted in taken:
-            raise BadSetting(f"{dotted} = {options[dotted]!r}: the study itself sets it; should be given as {taken[dotted]}")
+            right = f"given as {taken[dotted]}" if taken[dotted] else "left out"
+            raise BadSetting(f"{dotted} = {options[dotted]!r}: the study itself sets it; should be {right}")
 
 
 def settings_of(method: str) -> dict[str, Any]:

@@ -66,9 +66,11 @@ def test_a_line_compares_with_the_same_seed_without_the_fault_and_after_deaths_w
     assert [line(row("loss", 0.3, [ospa] * 100), 0.0)["ratio"] for ospa in (0.0, 2.0)] == [1.0, math.inf]
 
 
-def test_a_seed_among_the_settings_is_refused() -> None:
+def test_a_seed_and_a_clock_among_the_settings_are_refused() -> None:
     with pytest.raises(BadSetting, match=r"^run\.seed = 3: the study itself sets it; should be given as seed$"):
         plan(1, 1, 100.0, 200.0, {"run.seed": 3})
+    with pytest.raises(BadSetting, match=r"^run\.clock = 'lockstep': the study itself sets it; should be left out$"):
+        plan(1, 1, 100.0, 200.0, {"run.clock": "lockstep"})
 
 
 def test_a_line_counts_the_recovery_of_a_partition_from_its_heal_and_that_of_a_loss_from_the_fault() -> None:
