@@ -10,6 +10,7 @@ import signal
 import time
 from collections.abc import Callable, Generator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, Protocol
@@ -102,6 +103,8 @@ def _harvest(done: "Mapping[Future[Row], Numbered]") -> FinishedTrials:
             failed.append((trial, error))
     yield rows
     for trial, why in failed:
+        if isinstance(why, BrokenProcessPool):  # of all trials that were open then
+            raise TrialFailed("a worker process was killed, as a machine does that lacks memory; fewer --workers need less") from why
         raise TrialFailed(f"{trial.command()}: {type(why).__name__}: {why}") from why
 
 

@@ -65,7 +65,7 @@ def _run(
         with _exits_on_sigterm(), closing(engine), _bar(console, len(trials), ahead) as show_progress:
             _follow(engine, folder, trials, keys, ahead, show_progress)
     except TrialFailed as error:
-        raise BadSetting(f"a trial failed, the others are kept: {error}") from error
+        raise BadSetting(f"a trial failed, those that are done are kept: {error}") from error
     except KeyboardInterrupt:
         console.print(f"stopped; {ahead.finished} of {len(trials)} trials are kept in {folder.path}, the same command goes on")
         raise

@@ -129,6 +129,17 @@ def test_a_trial_that_fails_costs_no_other_its_row() -> None:
         next(steps)
 
 
+def test_a_worker_that_was_killed_is_no_fault_of_a_trial() -> None:
+    trial = Trial(scenario="quick", seed=1, team="A1", targets=3, method="power")
+    with pytest.raises(TrialFailed, match=r"^a worker process was killed, as a machine does that lacks memory; fewer --workers need less$"):
+        list(on_this_machine([(0, trial)], 1, shared_progress(1), _killed))
+
+
+def _killed(trial: Trial, tell: Callable[[float], None]) -> Row:
+    os.kill(os.getpid(), signal.SIGKILL)
+    return {}
+
+
 def test_a_study_ends_no_process_but_its_own() -> None:
     """Its workers compare a trial with a function, which is done at once."""
     bystander = multiprocessing.get_context("spawn").Process(target=time.sleep, args=(600,))
