@@ -1,4 +1,4 @@
-"""The user's own code: the files of the classes that a scenario names, and of all that these import.
+"""The user's own code: the files of the classes that a scenario names, of all that these import, and of data that sensors are given.
 
 Files of Covey, of the standard library and of installed packages do not count: the versions of a study name those.
 """
@@ -11,6 +11,7 @@ from contextlib import suppress
 from functools import lru_cache
 from importlib.machinery import ModuleSpec, PathFinder
 from importlib.util import find_spec, resolve_name
+from os.path import isfile
 from pathlib import Path
 
 from deploy.scenario import Scenario, user_classes
@@ -19,16 +20,17 @@ from protocol.user_classes import NOT_THE_USERS
 
 
 def own_code(scenario: Scenario) -> str:
-    """A hash of the files of the user's own classes, and of the user's files that these import; empty where there are none."""
-    digest, files = hashlib.blake2b(digest_size=6), class_files(scenario)
+    """A hash of `own_files`; empty where there are none."""
+    digest, files = hashlib.blake2b(digest_size=6), own_files(scenario)
     for file in files:
         digest.update(hashlib.blake2b(file.read_bytes()).digest())
     return digest.hexdigest() if files else ""
 
 
-def class_files(scenario: Scenario) -> list[Path]:
-    """These files: of each class the named module, and the one that the class comes from; then what they import, and so on."""
-    found: set[Path] = set()
+def own_files(scenario: Scenario) -> list[Path]:
+    """Of each class the named module, and the one that it comes from; what they import, and so on; files that are parameters of sensors."""
+    given = [value for sensor in scenario.sensors.values() for value in sensor.parameters.values()]
+    found = {Path(value) for value in given if isinstance(value, str) and isfile(value)}
     waiting: list[tuple[Path, str]] = []  # a file, and the package that it belongs to
     for name in user_classes(scenario):
         with suppress(ValueError, ImportError):  # a class that cannot be loaded is refused where the run builds it

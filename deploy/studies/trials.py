@@ -20,7 +20,7 @@ from deploy.scenario import SEARCH_EXTRACTION, Scenario, find, resolve, toml_val
 from deploy.scoring.error_parts import ErrorParts
 from deploy.scoring.result import Result
 from deploy.simulation import Simulation
-from deploy.studies.own_code import class_files, own_code
+from deploy.studies.own_code import own_code, own_files
 from protocol.settings import BadOption, BadSetting
 from world.sources import recorded_files
 
@@ -132,7 +132,7 @@ def key_of(made_of: list[Any], scenario: Scenario) -> str:
     Each of these files, and that of the scenario, may have changed meanwhile.
     """
     digest = hashlib.blake2b(json.dumps(made_of).encode() + msgspec.json.encode(scenario), digest_size=8)
-    for file in [*class_files(scenario), *recorded_files(scenario.recorded)]:
+    for file in [*own_files(scenario), *recorded_files(scenario.recorded)]:
         digest.update(hashlib.blake2b(file.read_bytes()).digest())
     return digest.hexdigest()
 

@@ -14,7 +14,7 @@ from deploy.scenario import parse_set, resolve
 from deploy.scoring.result import Result
 from deploy.simulation import Simulation
 from deploy.studies.bodies import BodyRun
-from deploy.studies.own_code import class_files, own_code
+from deploy.studies.own_code import own_code, own_files
 from deploy.studies.robustness import Bout
 from deploy.studies.trials import FLAGS, LEFT_OUT, METHODS, Trial, check_method, cost, fingerprint, flat_settings, run_trial
 from protocol.observer_messages import Truth
@@ -163,12 +163,23 @@ def test_all_files_of_the_users_that_a_class_imports_belong_to_it(tmp_path: Path
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).write_text(text)
     scenario = trial(**{"control.mode": "laboratory.law:Law"}).resolve()
-    assert [file.relative_to(tmp_path).as_posix() for file in class_files(scenario)] == sorted(texts)
+    assert [file.relative_to(tmp_path).as_posix() for file in own_files(scenario)] == sorted(texts)
     hashes = {own_code(scenario)}
     for name in texts:
         (tmp_path / name).write_text(f"{texts[name]}# changed\n")
         hashes.add(own_code(scenario))
     assert len(hashes) == 1 + len(texts)
+
+
+def test_a_file_that_a_sensor_is_given_belongs_to_its_code(tmp_path: Path) -> None:
+    grid, keys, hashes = tmp_path / "antenna.csv", set(), set()
+    for ahead in (0.5, 0.9):
+        grid.write_text(f"0,{ahead},0\n0,0.9,0\n0,0,0\n")
+        measured = {"model": "covey.examples.sensors:SampledGrid", "parameters": {"file": str(grid), "spacing": 4.0}}
+        one = trial(**{"sensors.A": measured})
+        keys.add(one.key())
+        hashes.add(own_code(one.resolve()))
+    assert len(keys) == len(hashes) == 2
 
 
 @pytest.mark.parametrize("data", ["crowd", "crowd/one.txt"])
