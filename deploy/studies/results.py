@@ -114,7 +114,7 @@ def read_results(path: Path) -> list[Row]:
     if path.is_dir():
         folder = StudyFolder(path)
         path = folder.csv if folder.csv.exists() and not folder.parquet.exists() else folder.parquet
-        if (folder.path / ROBUSTNESS).exists():
+        if (folder.path / ROBUSTNESS).exists() and not path.exists():
             raise BadSetting(f"{folder.path}: a study of robustness has drawn its own figure, robustness.pdf; {ROBUSTNESS} is its table")
         if folder.trials.exists() and not path.exists():
             raise BadSetting(f"{folder.path}: the study has not finished; the command that began it goes on")

@@ -136,6 +136,8 @@ def test_files_that_are_no_results_are_refused_by_name(tmp_path: Path) -> None:
     (robustness.path / "robustness.csv").write_text("kind,level\n")
     with pytest.raises(BadSetting, match=r"a study of robustness has drawn its own figure, robustness\.pdf"):
         read_results(robustness.path)
+    robustness.publish([row(1)])  # another study in the same folder
+    assert [found["seed"] for found in read_results(robustness.path)] == [1]
     broken = tmp_path / "broken.parquet"
     broken.write_text(json.dumps({}))
     with pytest.raises(BadSetting, match=r"broken\.parquet: no results of a study"):
