@@ -14,7 +14,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from deploy.scenario import FaultSettings, Scenario, find, resolve, toml_value
+from deploy.scenario import FaultSettings, Scenario, check_triple, find, resolve, toml_value
 from deploy.simulation import Simulation
 from deploy.studies.trials import CORE, Row, check_free, key_of, source_hash
 from protocol.observer_messages import Truth
@@ -107,6 +107,7 @@ def plan(trials: int, seed: int, seconds: float, models: Sequence[str], options:
     ]
     for run in runs[: len(models)]:
         scenario = run.resolve()
+        check_triple(scenario.team.composition, options.get("team.triple"))
         if len(scenario.members) <= len(DEATHS):
             raise BadSetting(
                 f"team {scenario.team.composition}: should be of {len(DEATHS) + 1} sensors or more, for {len(DEATHS)} of them die"

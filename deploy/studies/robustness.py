@@ -15,7 +15,7 @@ import msgspec
 import numpy as np
 
 from deploy.faults.faults import Schedule
-from deploy.scenario import FaultSettings, Scenario, find, resolve
+from deploy.scenario import FaultSettings, Scenario, check_triple, find, resolve
 from deploy.simulation import Simulation
 from deploy.studies.trials import CORE, Row, check_free, key_of, source_hash
 from protocol.settings import BadSetting
@@ -105,7 +105,9 @@ def plan(trials: int, seed: int, at: float, seconds: float, options: dict[str, A
         for trial in range(trials)
         for kind, level in cells
     ]
-    agents = len(bouts[0].resolve().members)
+    scenario = bouts[0].resolve()
+    check_triple(scenario.team.composition, options.get("team.triple"))
+    agents = len(scenario.members)
     if agents < LEAST_AGENTS:
         raise BadSetting(f"--team: has {agents} agents; should have at least {LEAST_AGENTS}, for nine in ten of them die")
     return bouts
