@@ -1,5 +1,6 @@
 """`import covey`: what it gives is what the command gives, and what is wrong is said in one line."""
 
+import copy
 import inspect
 import json
 import math
@@ -102,6 +103,12 @@ def test_bodies_stand_where_the_arrays_say(run: covey.Run) -> None:
     simulation.run()
     for row, tick in enumerate(run.tick.tolist()):
         assert [seen[tick][name] for name in run.agents] == run.poses[row].tolist()
+
+
+def test_a_run_is_equal_to_itself_alone_and_can_be_a_key(run: covey.Run) -> None:
+    """Its arrays have no one truth value."""
+    again = copy.deepcopy(run)
+    assert run == run and run != again and len({run, again}) == 2
 
 
 def test_an_agent_that_is_killed_keeps_its_column_and_the_kill_is_in_the_result() -> None:

@@ -124,7 +124,7 @@ def _lay_over(found: Scenario, options: RunOptions, settings: Mapping[str, Any])
             raise BadSetting(str(error).replace(str(file), f"scenario {found.run.scenario}")) from None
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, repr=False, eq=False)
 class Run:
     """What came out of a run. Every array has one row for each tick that was scored; lengths in m, areas as shares of the arena."""
 
