@@ -125,6 +125,12 @@ def faults_without_effect(scenario: Scenario) -> str:
     return f"no effect in a simulation without --rate 1, because the world waits: {found}" if found else ""
 
 
+def simulation_remarks(scenario: Scenario, clock: str) -> list[str]:
+    """A line for each fault that changes nothing in a simulation with this clock."""
+    waited_for = faults_without_effect(scenario) if clock == "lockstep" else ""
+    return [*fault_remarks(scenario), *([waited_for] if waited_for else [])]
+
+
 def faults_on_links(scenario: Scenario) -> str:
     """A line about faults that real processes would refuse, because `network.link_faults` is missing; empty if there are none."""
     found = ", ".join(sorted(_verbs(scenario) & set(LINK_VERBS)))

@@ -14,7 +14,7 @@ import msgspec
 
 from deploy.cli.display import Display, show_result
 from deploy.cli.errors import BAD_INPUT, FAILED, complain
-from deploy.cli.scenario_checks import check_platform_class, fault_remarks, faults_without_effect
+from deploy.cli.scenario_checks import check_platform_class, simulation_remarks
 from deploy.recording.observers import Observers, open_recorder, recording_path
 from deploy.recording.trace import Trace, check_trace
 from deploy.scenario import Scenario, with_run_name
@@ -90,9 +90,7 @@ def _play(simulation: Simulation, scenario: Scenario, clock: Literal["lockstep",
     """The result, and what a trace holds."""
     series = Trace(simulation)
     display = Display(to_stderr=True)
-    for remark in fault_remarks(scenario):
-        display.event(f"covey: {remark}")
-    if clock == "lockstep" and (remark := faults_without_effect(scenario)):
+    for remark in simulation_remarks(scenario, clock):
         display.event(f"covey: {remark}")
     simulation.scorer.on_report = lambda told: display.event(f"[{told.time:.1f} s] {told.text}")
     with display.console.status("") if display.console.is_terminal else nullcontext() as spinner:

@@ -223,8 +223,11 @@ def simulate(
 ) -> Run:
     """Run a scenario in this process, in virtual time; the options are those of `scenario`.
 
-    `progress` is called with the share of the ticks that are done. Raises BadSetting naming what is wrong.
+    `progress` is called with the share of the ticks that are done. Standard error names faults that change nothing. Raises BadSetting
+    naming what is wrong.
     """
+    from deploy.cli.errors import tell_remarks
+    from deploy.cli.scenario_checks import simulation_remarks
     from deploy.simulation import Simulation, compile_once
 
     found = scenario(
@@ -246,6 +249,7 @@ def simulate(
         rate=rate,
         settings=settings,
     )
+    tell_remarks(simulation_remarks(found, found.run.clock))
     compile_once()
     simulation = Simulation(found, clock=found.run.clock)
     truths: dict[int, Truth] = {}
