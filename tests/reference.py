@@ -128,6 +128,7 @@ print(run.ospa.mean(), run.poses.shape)  # numpy arrays, one row for each tick; 
 What is simulated is what the command simulates. A setting or an argument that is wrong raises `BadSetting`, a ValueError of one line.
 Numbers of numpy are taken.
 [The notebook](../tutorial/notebook.ipynb) shows it with figures. In a checkout `.venv/bin/python` finds `covey`.
+No file beside your script may be called agents.py, deploy.py, protocol.py or world.py there.
 """
     return "\n".join([head, *(part for name in covey.__all__ if name != "__version__" for part in _public(name))])
 
