@@ -80,17 +80,16 @@ def endpoint_error(settings: NetworkSettings, text: str) -> BadSetting:
     return BadSetting(f"network.listen = {', '.join(settings.listen)}: {hint}")
 
 
-_RESERVED: list[socket.socket] = []  # UDP sockets of the ports that `free_port` has returned, kept until the process ends
-
-
+_RESERVED: list[socket.socket] = []  # UDP sockets that mark the ports that `free_port` has returned, kept until the process ends
 LOWEST_PORT, HIGHEST_PORT = 20000, 32000  # of `free_port`
+MARK_BELOW = HIGHEST_PORT - LOWEST_PORT  # the UDP port of a mark is so much lower: a UDP or QUIC endpoint may listen at the port itself
 
 
 def free_port() -> int:
     """A free TCP port on 127.0.0.1, below the range that the kernel gives to outgoing connections.
 
-    Some time passes until another process listens on it. So this process keeps the UDP port of the same number, which marks the port
-    as taken for every other call.
+    Some time passes until another process listens on it. So this process keeps a UDP port, `MARK_BELOW` lower, which marks the port as
+    taken for every other call.
     """
     span = HIGHEST_PORT - LOWEST_PORT
     start = int.from_bytes(os.urandom(4), "little")
@@ -98,7 +97,7 @@ def free_port() -> int:
         port = LOWEST_PORT + (start + 7 * step) % span
         reserved = socket.socket(type=socket.SOCK_DGRAM)
         try:
-            reserved.bind(("127.0.0.1", port))
+            reserved.bind(("127.0.0.1", port - MARK_BELOW))
             with socket.socket() as probe:
                 probe.bind(("127.0.0.1", port))
         except OSError:

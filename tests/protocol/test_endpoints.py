@@ -1,5 +1,6 @@
 """Endpoints beyond this machine are refused unless they are encrypted or the settings say insecure."""
 
+import socket
 import subprocess
 import sys
 from pathlib import Path
@@ -63,6 +64,11 @@ def test_files_are_missed_by_name_and_field(tmp_path: Path) -> None:
 
 def test_a_free_port_lies_below_the_range_of_outgoing_connections() -> None:
     assert 20000 <= free_port() < 32000
+
+
+def test_a_free_port_is_free_for_a_udp_or_quic_endpoint() -> None:
+    with socket.socket(type=socket.SOCK_DGRAM) as listener:
+        listener.bind(("127.0.0.1", free_port()))
 
 
 def test_a_port_that_was_given_away_is_given_to_nobody_else(monkeypatch: pytest.MonkeyPatch) -> None:
