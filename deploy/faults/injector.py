@@ -47,6 +47,10 @@ class Injector:
         self._forget_the_stopped()
         return list(dict.fromkeys(agent.name for agent in self.agents.values()))
 
+    def _awake(self) -> list[str]:
+        """Names of the living that are not paused."""
+        return [name for name in self.alive() if any(label not in self._pauses for label in self._labels(name))]
+
     def dead(self) -> list[str]:
         """Names of those that are not there, in team order."""
         alive = set(self.alive())
@@ -58,7 +62,7 @@ class Injector:
             self._bus.link = self._bus.link or self._links  # from the first link fault on: to ask for every message takes time
             if self._bus.link is not self._links:
                 raise BadSetting(f"{action.verb}: a simulation with a link of its own has no other faults of links")
-            self._links.act(action, self.alive())
+            self._links.act(action, self._awake())
             self._look_at_sessions()
             return
         if action.verb == "freeze":

@@ -35,7 +35,7 @@ class Links:
             self._names.append(name)
 
     def act(self, action: Action, living: Collection[str] | None = None) -> None:
-        """Carry out a link verb. `living`: the agents of which one can be a bridge; None: all."""
+        """Carry out a link verb. `living`: the agents of which one can be a bridge, not paused; None: all."""
         if action.verb == "heal" and action.options.get("only_cut"):
             ended = set(self._around(action.names))
             self._cut, self._torn = self._cut - ended, self._torn - ended

@@ -389,7 +389,7 @@ class Supervisor:
 
     def _change_links(self, action: Action) -> str:
         """Change the links between agents: every agent receives its new reception."""
-        self._links.act(action, self._agents("running"))
+        self._links.act(action, self._agents("awake"))
         for name in self.scenario.members:
             self._tell_links(name)
         text = self._links.describe(action)

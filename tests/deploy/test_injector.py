@@ -142,6 +142,15 @@ def test_a_bridge_is_one_that_lives() -> None:
     assert team.sees() == {"s2": {"s3"}, "s3": {"s2"}}
 
 
+def test_a_bridge_is_one_that_is_not_paused() -> None:
+    team = Team()
+    team.strike("pause", "s1")
+    team.strike("partition", "s3", kind="bridge")
+    team.run(LEASE + 1.0)
+    sees = team.sees()
+    assert (sees["s2"], sees["s3"]) == ({"s3"}, {"s2"})
+
+
 def test_a_link_fault_that_is_struck_by_hand_does_what_one_of_the_scenario_does() -> None:
     """Half of all messages are lost from tick 4 on; without a fault the run is another one."""
     calm = resolve("quick", {"team.composition": "A3", "run.seconds": 4.0})

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from deploy.faults.faults import Schedule
+from deploy.faults.faults import Action, Schedule
 from deploy.live import supervisor as supervising
 from deploy.live.processes import Child
 from deploy.live.supervisor import Supervisor
@@ -23,12 +23,14 @@ def supervisor(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Supervisor:
     return made(tmp_path, monkeypatch)
 
 
-def made(folder: Path, monkeypatch: pytest.MonkeyPatch, host: str = "world", attended: bool = True) -> Supervisor:
-    """A supervisor of two agents whose start has not begun."""
+def made(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, host: str = "world", attended: bool = True, team: str = "E2", **options: object
+) -> Supervisor:
+    """A supervisor of a team, of two agents by default, whose start has not begun."""
     monkeypatch.setenv("COVEY_RUNS", str(folder))
     directory = RunDirectory("one")
     directory.logs.mkdir(parents=True)
-    options = {"run.name": "one", "team.composition": "E2", "bodies.host": host}
+    options = {"run.name": "one", "team.composition": team, "bodies.host": host, **options}
     return Supervisor(resolve("quick", options), directory, print, attended=attended)
 
 
@@ -117,6 +119,14 @@ def test_a_run_whose_last_body_refuses_its_input_ends_and_waits_for_no_restart(
         let_run(made(tmp_path, monkeypatch, "own", attended=False), {"s1.body": 2, "s2.body": 2})
     told = capsys.readouterr().out
     assert "s2.body died" in told and "stands still" not in told
+
+
+def test_a_bridge_of_a_partition_is_one_that_is_not_paused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    supervisor = made(tmp_path, monkeypatch, team="E3", **{"network.link_faults": True})
+    assert let_run(supervisor, {}) is None
+    supervisor.children["s1"].paused = True
+    supervisor._act(Action("partition", ["s3"], None, {"kind": "bridge"}))
+    assert supervisor._links.reception("s3").cut == ("s1",)
 
 
 def fail(*_: object) -> None:
