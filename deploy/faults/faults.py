@@ -141,6 +141,9 @@ def check_listed_fault(
     known = [*members, *newcomers(faults, number), *(others if plain_verb(fault.verb) in LIVE_VERBS else ())]
     check_fault(fault, where, members, known, live=live, link_faults=link_faults)
     if fault.verb == "join":
+        if others and "world" not in others:
+            right = "should be left out, or bodies.host be 'world': where bodies are processes of their own a newcomer gets none"
+            raise BadSetting(f"{where}verb = 'join': {right}")
         _check_newcomer(newcomer(fault, number), where, [*known, *others])
 
 

@@ -142,6 +142,12 @@ def test_a_newcomer_can_be_struck_by_name_once_it_has_come() -> None:
         check_faults([FaultSettings(at=1.0, verb="kill", who="guest1"), join], TEAM)
 
 
+def test_where_bodies_are_processes_of_their_own_nobody_joins() -> None:
+    join = FaultSettings(at=2.0, verb="join", options={"class": "A"})
+    with pytest.raises(BadSetting, match=r"faults\[0\]\.verb = 'join': should be left out, or bodies\.host be 'world'"):
+        check_faults([join], TEAM, [f"{name}.body" for name in TEAM])
+
+
 def test_of_many_processes_the_first_are_named() -> None:
     with pytest.raises(BadSetting, match=r"known are s1, .* s12 and 89 more, a number such as 4"):
         check_faults([FaultSettings(at=1.0, verb="kill", who="x")], [f"s{number}" for number in range(1, 101)], ["world"])
