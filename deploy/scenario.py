@@ -4,6 +4,7 @@ import hashlib
 import math
 import re
 import tomllib
+from collections.abc import Collection
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ import tomli_w
 
 from agents.config import AgentConfig, ExtractionSettings
 from protocol.endpoints import check_files
+from protocol.keys import order
 from protocol.settings import (
     BadOption,
     BadSetting,
@@ -326,6 +328,12 @@ def bodies_of(scenario: Scenario) -> dict[str, str]:
 def world_names(scenario: Scenario) -> list[str]:
     """The processes that are the world of a run: one world, or the bodies."""
     return [*bodies_of(scenario).values()] or ["world"]
+
+
+def in_team_order(scenario: Scenario, names: Collection[str]) -> list[str]:
+    """Names of agents: members in the order of the scenario, then guests in the order of names."""
+    guests = sorted((name for name in names if name not in scenario.members), key=order)
+    return [*(name for name in scenario.members if name in names), *guests]
 
 
 def _team_and_members(scenario: Scenario, said: dict[str, Any]) -> tuple[TeamSettings, dict[str, str]]:

@@ -13,6 +13,7 @@ import numpy as np
 from agents.tracking.labels import NO_LABEL
 from deploy.recording.moments import messages
 from deploy.recording.recording import Recording
+from deploy.scenario import in_team_order
 from deploy.scoring.tracks import UniqueLabels
 from protocol.observer_messages import Estimate, Truth
 
@@ -47,7 +48,7 @@ def reported_ticks(recording: Recording) -> Iterator[ReportedTick]:
     names = UniqueLabels()
     for tick in sorted(truths):
         found = estimates.get(tick, {})
-        yield ReportedTick(truths[tick], tuple(_reported_by([found[name] for name in sorted(found)], names)))
+        yield ReportedTick(truths[tick], tuple(_reported_by([found[name] for name in in_team_order(recording.scenario, found)], names)))
 
 
 def _reported_by(estimates: Sequence[Estimate], names: UniqueLabels) -> Iterator[ReportedTarget]:

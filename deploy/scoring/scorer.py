@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import msgspec
 import numpy as np
 
-from deploy.scenario import Scenario, agent_config, bodies_of, has_targets, world_config
+from deploy.scenario import Scenario, agent_config, bodies_of, has_targets, in_team_order, world_config
 from deploy.scoring.chronicle import Chronicle, ScoredTick
 from deploy.scoring.deaths import Deaths, ends_run
 from deploy.scoring.result import EventReport, Fault, Result
@@ -22,7 +22,7 @@ from deploy.scoring.tick_rate import TickRateMeter
 from deploy.scoring.tracks import TrackLog
 from protocol.codec import encode
 from protocol.geometry import polygon_area
-from protocol.keys import all_of, order
+from protocol.keys import all_of
 from protocol.messages import Gossip, Hello
 from protocol.node import Alive, Effect, Event, Gone, Node, Received, Rejected, Started, Subscribe, received
 from protocol.observer_messages import Estimate, Truth
@@ -142,7 +142,7 @@ class Scorer(Node):
             case Alive(role="agent") if self._admits(event.name):
                 self._gain(event.name, event.incarnation)
                 if event.name not in self._names:
-                    self._names = dict.fromkeys(sorted([*self._names, event.name], key=order))
+                    self._names = dict.fromkeys(in_team_order(self._scenario, {*self._names, event.name}))
             case Alive(role="body") if event.name in self._names:
                 self.greeted.add(self._bodies.get(event.name, event.name))
             case Gone(role="agent") if not self.is_over and self._presence.vanish(event.name, event.incarnation):

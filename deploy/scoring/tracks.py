@@ -1,8 +1,8 @@
 """The tracks of a run: what the agents reported under each label, tick by tick, and the scores of it.
 
 Rules. A label counts once in a tick. Of several estimates with one label, which only agents far apart can report, the one nearest to where
-the label was last keeps it; when it is new, the one of the largest existence; of equals the first. The others, and estimates without a
-label, are named by their place among those of the tick: derived from the label, or from 0.
+the label was last keeps it; when it is new, the one of the largest existence; of equals the first in the order of the team. The others, and
+estimates without a label, are named by their place among those of the tick: derived from the label, or from 0.
 """
 
 import math

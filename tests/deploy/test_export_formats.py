@@ -227,10 +227,11 @@ def test_a_beginning_with_an_offset_is_told_in_utc(recording: Recording) -> None
 
 
 def test_of_two_agents_that_report_one_label_in_a_tick_each_has_a_label_of_its_own_in_every_export(tmp_path: Path) -> None:
-    scenario = resolve("quick", {"run.name": "seen", "run.clock": "lockstep"})
+    """Of equals the first of the team keeps it, as in the scores and in MOT files."""
+    scenario = resolve("quick", {"run.name": "seen", "run.clock": "lockstep", "team.composition": "A10"})
     recorder = Recorder(tmp_path / "a.mcap", scenario, None)
     recorder.see(received(truth := Truth(sender="world", incarnation=1, tick=0, time=0.0), payloads=[codec.encode(truth)]), 0.0)
-    for name, place in (("s1", (1.0, 2.0)), ("s2", (7.0, 8.0))):
+    for name, place in (("s10", (1.0, 2.0)), ("s2", (7.0, 8.0))):
         said = Estimate(
             sender=name,
             incarnation=1,
@@ -245,7 +246,7 @@ def test_of_two_agents_that_report_one_label_in_a_tick_each_has_a_label_of_its_o
         recorder.see(received(said, payloads=[codec.encode(said)]), 0.0)
     recorder.close()
     [tick] = reported_ticks(Recording(tmp_path / "a.mcap"))
-    assert [(one.agent, one.label) for one in tick.targets] == [("s1", 5), ("s2", derived_label(5, 1))]
+    assert [(one.agent, one.label) for one in tick.targets] == [("s2", 5), ("s10", derived_label(5, 1))]
     recording = Recording(tmp_path / "a.mcap")
     write_cot(recording, earth_of(recording, ORIGIN, BEGAN), tmp_path / "a.cot")
     uids = [ElementTree.fromstring(line).get("uid") for line in (tmp_path / "a.cot").read_text().splitlines()]
