@@ -95,13 +95,13 @@ class Bridge:
 
     def _on_odometry(self, said: Any) -> None:
         """Note where the robot is; the sensor of a differential drive sits ahead of the axle."""
-        pose, offset = said.pose.pose, self._options.offset
+        pose, twist, offset = said.pose.pose, said.twist.twist, self._options.offset
         axle = placed(self._options.origin, (pose.position.x, pose.position.y, heading_of(pose.orientation)))
         if not all(map(math.isfinite, axle)):
             return  # the body soon stands for want of odometry
         with self._moves:
             self._frames = said.header.frame_id, said.child_frame_id
-            self._axle.note(stamp_of(said.header), axle)
+            self._axle.note(stamp_of(said.header), axle, (twist.linear.x, twist.linear.y, twist.angular.z))
             self.body.at(placed(axle, (offset, 0.0, 0.0)), time.monotonic())
 
     def _on_detections(self, said: Any) -> None:

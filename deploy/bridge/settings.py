@@ -2,6 +2,7 @@
 
 import math
 import re
+import sys
 import time
 import tomllib
 from pathlib import Path
@@ -53,10 +54,16 @@ def _run(data: dict[str, Any], agent: str) -> tuple[str, Network, Rules]:
         raise Wrong(f"sensors.{members[agent]}.measures = {measures!r}: a robot reports places here; should be 'position'")
     if run["clock"] != "realtime":
         raise Wrong(f"run.clock = {run['clock']!r}: a robot cannot wait; should be 'realtime'")
-    fence, epoch, lasts = bodies.get("fence"), bodies["epoch"], run["seconds"] / run["rate"]
+    fence, epoch, lasts, most = bodies.get("fence"), bodies["epoch"], run["seconds"] / run["rate"], run["start_timeout"]
     if epoch and epoch + lasts <= time.time():
         over = f"by this machine's clock the run of {lasts:g} s is over"
         raise Wrong(f"bodies.epoch = {epoch:.3f}: {over}; should be 0, or more than {time.time() - lasts:.0f}: is the clock right?")
+    if epoch > time.time() + most:
+        ahead = f"lies {epoch - time.time():.0f} s ahead of this machine's clock"
+        raise Wrong(f"bodies.epoch = {epoch:.3f}: {ahead}; should be at most {most:g} s (run.start_timeout): is the clock right?")
+    if data["targets"]["count"]:
+        others = "scores and the rings of the page are those of simulated targets"
+        print(f"bridge: targets.count = {data['targets']['count']}: {others}; should be 0 where detections are real", file=sys.stderr)
     rules = Rules(
         agent=agent,
         expected=tuple(members),

@@ -183,10 +183,13 @@ def check_platform_class(scenario: Scenario) -> str:
     if bodies.host == "world":
         return f"bodies.platform = {bodies.platform!r} is read with bodies.host = 'own' alone; one world simulates all bodies here"
     try:
-        platform_class(bodies)
+        robot = platform_class(bodies)
     except BadSetting as error:
         raise BadSetting(f"{scenario.run.scenario}: {error}") from error.__cause__
-    return f"{bodies.platform} can be imported; `covey platform` tries it"
+    line = f"{bodies.platform} can be imported; `covey platform` tries it"
+    if scenario.targets.count and getattr(robot, SIMULATED, False) is not True:
+        line += f". Where it returns detections targets.count = {scenario.targets.count} should be 0: scores are those of simulated targets"
+    return line
 
 
 def _network(scenario: Scenario) -> Iterator[tuple[str, str]]:

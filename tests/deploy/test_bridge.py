@@ -17,9 +17,9 @@ from typing import Any
 import msgpack
 import pytest
 
-from deploy.bridge.bridge import Bridge, keep, kept, point, upright
+from deploy.bridge.bridge import Bridge, keep, kept, point, upright, vector
 from deploy.bridge.client import Heard, Network, Participant, access_control, config_of
-from deploy.bridge.frames import fenced, moved, placed, wheels
+from deploy.bridge.frames import Placement, fenced, moved, placed, wheels
 from deploy.bridge.odometry import Odometry
 from deploy.bridge.ros import QOS, RosNode, attachment, message, topic_key
 from deploy.bridge.settings import BridgeOptions, Wrong, check, read_run
@@ -118,11 +118,13 @@ def head(frame: str, stamp: float) -> Any:
     return message("std_msgs/msg/Header", message("builtin_interfaces/msg/Time", *divmod(nanoseconds, 1_000_000_000)), frame)
 
 
-def odometry(x: float, y: float, heading: float, stamp: float) -> Any:
-    """An odometry of the robot `base`."""
+def odometry(x: float, y: float, heading: float, stamp: float, twist: Placement = (0.0, 0.0, 0.0)) -> Any:
+    """An odometry of the robot `base`, whose twist is ahead and left, m/s, and rad/s."""
     turned = message("geometry_msgs/msg/Quaternion", 0.0, 0.0, math.sin(heading / 2.0), math.cos(heading / 2.0))
     pose = message("geometry_msgs/msg/Pose", point(x, y), turned)
-    return SimpleNamespace(header=head("odom", stamp), pose=SimpleNamespace(pose=pose), child_frame_id="base")
+    velocity = message("geometry_msgs/msg/Twist", vector(*twist[:2], 0.0), vector(0.0, 0.0, twist[2]))
+    parts = {"pose": SimpleNamespace(pose=pose), "twist": SimpleNamespace(twist=velocity)}
+    return SimpleNamespace(header=head("odom", stamp), child_frame_id="base", **parts)
 
 
 def scan(frame: str, stamp: float, *places: tuple[float, float]) -> Any:
@@ -181,6 +183,22 @@ def test_a_detection_of_a_turning_robot_is_placed_by_the_pose_at_the_stamp_of_it
     assert bridge.body._scan is not None
     assert bridge.body._scan[0] == [pytest.approx(moved(placed((10.0, 0.0, 0.3), where(placed_by)), (2.0, 0.0)), abs=1e-5)]
     assert len(capsys.readouterr().err.splitlines()) == remarks
+
+
+@pytest.mark.parametrize(("ahead", "moves"), [(0.1, True), (0.3, False)])
+@pytest.mark.parametrize("turn", [1.0, math.nan])
+def test_a_scan_that_is_a_moment_ahead_of_all_odometry_is_placed_where_the_robot_will_be_by_its_twist(
+    ahead: float, moves: bool, turn: float
+) -> None:
+    """At 1 m/s and 1 rad/s. A scan farther ahead is of another clock; a twist that is no number is none."""
+    bridge = Bridge.__new__(Bridge)
+    bridge.body, bridge._moves, bridge._options = Desk().body, threading.Lock(), BridgeOptions(Path(), "s3")
+    bridge._axle, bridge._is_stamp_told = Odometry(), False
+    bridge._on_odometry(odometry(3.0, 1.0, 0.5, 1.7e9, (1.0, 0.0, turn)))
+    bridge._on_detections(scan("base", 1.7e9 + ahead, (2.0, 0.0)))
+    there = placed((3.0, 1.0, 0.5), (math.sin(ahead), 1.0 - math.cos(ahead), ahead)) if moves and turn == 1.0 else (3.0, 1.0, 0.5)
+    assert bridge.body._scan is not None
+    assert bridge.body._scan[0] == [pytest.approx(moved(there, (2.0, 0.0)), abs=0.006)]
 
 
 def test_odometry_whose_clock_is_set_back_or_that_has_no_stamps_counts_from_then_on() -> None:
@@ -295,6 +313,14 @@ def test_the_run_file_of_a_swarm_says_all_that_a_body_must_know(run_file: Path) 
     assert (rules.speed, rules.turn_rate) == (scenario.limits.speed, scenario.limits.turn_rate)
 
 
+@pytest.mark.parametrize("count", [0, 5])
+def test_simulated_targets_beside_a_robot_are_remarked_on(count: int, run_file: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    run_file.write_text(toml_text(resolve("quick", {"targets.count": count})))
+    read_run(BridgeOptions(run_file, "s3"))
+    said = "targets.count = 5: scores and the rings of the page are those of simulated targets; should be 0 where detections are real"
+    assert capsys.readouterr().err == (f"bridge: {said}\n" if count else "")
+
+
 @pytest.mark.parametrize("mode", ["peer", "client"])
 def test_the_session_of_a_bridge_is_that_of_a_body_of_ours(mode: str, run_file: Path) -> None:
     wanted = {"network.seeds": ["tcp/127.0.0.1:1"], "network.mode": mode, "network.lease": 9.5}
@@ -314,6 +340,8 @@ def wrong_inputs(run_file: Path) -> Iterator[tuple[BridgeOptions, str]]:
     yield BridgeOptions(other, "s3"), "sensors.A.measures = 'bearing': a robot reports places here; should be 'position'"
     (late := run_file.with_name("late.toml")).write_text(toml_text(resolve("quick", {"bodies.epoch": time.time() - 300.0})))
     yield BridgeOptions(late, "s3"), "s is over; should be 0, or more than"
+    (early := run_file.with_name("early.toml")).write_text(toml_text(resolve("quick", {"bodies.epoch": time.time() + 4000.0})))
+    yield BridgeOptions(early, "s3"), "s ahead of this machine's clock; should be at most 60 s (run.start_timeout)"
     yield BridgeOptions(run_file, "s3", offset=-1.0), "--offset -1.0: should be from 0 to 10 m"
     yield BridgeOptions(run_file, "s3", origin=(0.0, math.nan, 0.0)), "should be three finite numbers"
     for router in ("foo", "foo/bar:1", "tcp/127.0.0.1", "tcp/127.0.0.1:abc"):

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from deploy.cli.scenario_checks import check_platform_class
 from deploy.live.platform_check import check_platform
 from deploy.scenario import resolve
 from deploy.simulation import Simulation
@@ -18,7 +19,7 @@ from tests.world.robot import ROBOT, Robot, config, started
 from world.body import Body
 from world.platform import Simulated, build_platform, platform_class
 
-HERE = "tests.world.test_platform"
+HERE, EXAMPLE = "tests.world.test_platform", "covey.examples.robots:DifferentialDrive"
 
 
 class Unstoppable:
@@ -41,6 +42,17 @@ class GivenItsMethods:
 class NeedsAPort:
     def __init__(self, name: str, port: str) -> None:
         pass
+
+
+@pytest.mark.parametrize(("platform", "count", "remarked"), [(ROBOT, 4, True), (ROBOT, 0, False), (EXAMPLE, 4, False)])
+def test_simulated_targets_beside_the_detections_of_a_robot_are_remarked_on(platform: str, count: int, remarked: bool) -> None:
+    """A platform that is itself a simulation has its detections simulated."""
+    settings = {"bodies.host": "own", "bodies.platform": platform, "bodies.parameters": {"places": {}}, "targets.count": count}
+    if platform == ROBOT:
+        del settings["bodies.parameters"]
+    line = check_platform_class(resolve("quick", settings))
+    said = f". Where it returns detections targets.count = {count} should be 0: scores are those of simulated targets"
+    assert line == f"{platform} can be imported; `covey platform` tries it" + (said if remarked else "")
 
 
 def test_a_platform_may_get_its_methods_when_it_is_built() -> None:
