@@ -21,7 +21,7 @@ from protocol.sensing import Pose, measurement_of
 from protocol.session_watchdog import ListenerWatchdog
 from protocol.settings import BadSetting, sensor_of
 from world.bodies import check_given
-from world.clock import TickClock, TickCount, neighbours
+from world.clock import AHEAD, TickClock, TickCount, neighbours
 from world.commands import CommandBook
 from world.config import WorldConfig
 from world.halt import Hold
@@ -31,6 +31,7 @@ from world.proximity import around
 from world.scene import Scene
 
 LOOK_PERIOD = 0.25  # s between two looks at the start line
+BACKLOG = 0.1  # s in which a body that was not served takes what has come meanwhile
 EXIT_TWIN, EXIT_INCOMPLETE = 3, 4
 
 
@@ -75,6 +76,7 @@ class Body(Node):
         self._waiting = False  # the command of this tick is missing; in lockstep the tick waits for it
         self._not_before = 0.0  # lockstep: when the tick may end
         self._due: float | None = None
+        self._deaf_until = -math.inf  # until then gossips may have waited, and say nothing of the time
         self._driven_until: float | None = None  # when the command that drives the platform ends; None: it stands
 
     def handle(self, event: Event, now: float) -> list[Effect]:
@@ -109,6 +111,8 @@ class Body(Node):
         return min((time for time in (self._due, self._driven_until) if time is not None), default=None)
 
     def _handle(self, event: Event, now: float) -> list[Effect]:
+        if self._due is not None and now > self._due + AHEAD:  # a platform that takes long, or a process that was stopped
+            self._deaf_until = now + BACKLOG
         match event:
             case Started():
                 return self._begin(now)
@@ -141,7 +145,8 @@ class Body(Node):
             if isinstance(message, Gossip):
                 if message.tick >= self._config.run.ticks:
                     continue  # no clock can be right that is beyond the end
-                self._clock.hear(message.sender, message.tick, now)
+                if now >= self._deaf_until:
+                    self._clock.hear(message.sender, message.tick, now)
                 self._count.hear(message.sender, message.tick)
             elif isinstance(message, Command):
                 effects += self._obey(message, now)
