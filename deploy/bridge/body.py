@@ -142,12 +142,15 @@ class RobotBody:
             return end
         return min(end, self._anchor + (command[0] + 2) * self._rules.period)
 
+    def silent(self, now: float) -> tuple[str, ...]:
+        """The topics of which nothing fresh is there: odom, detections."""
+        fresh = max(STALE, 2.0 * self._rules.period)
+        since = {"odom": (self._pose, now - fresh), "detections": (self._scan, now - max(fresh, 2.0 * self._gap))}
+        return tuple(topic for topic, (said, oldest) in since.items() if said is None or said[1] < oldest)
+
     def _is_sound(self, now: float) -> bool:
         """Whether odometry and scans are fresh; a body that does not know where it is, or sees nothing, is as good as dead."""
-        if self._pose is None or self._scan is None:
-            return False
-        fresh = max(STALE, 2.0 * self._rules.period)
-        return self._pose[1] >= now - fresh and self._scan[1] >= now - max(fresh, 2.0 * self._gap)
+        return not self.silent(now)
 
     def step(self, now: float) -> None:
         """Go on to the tick that it is, if it is a new one: tell the agent where it is and what it sees."""

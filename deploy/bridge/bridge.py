@@ -32,6 +32,7 @@ from deploy.bridge.watchdog import BridgeWatchdog
 ARENA_FRAME = "map"
 DRIVE_PERIOD = 0.05  # s between two cmd_vel: drivers stop after some tenths of a second without
 WAKE = 0.02  # s at most between two looks at the clock
+TELL_PERIOD = 3.0  # s between two lines about silent topics, at least
 ODOMETRY, POSES, TWIST, POLYGON = (
     "nav_msgs/msg/Odometry",
     "geometry_msgs/msg/PoseArray",
@@ -54,6 +55,7 @@ class Bridge:
         self._frames: tuple[str, str] | None = None  # names of the odometry's frame and of the robot's own, once it has said them
         self._foreign: set[str] = set()  # other frames that scans have named
         self._is_stamp_told = False  # that a scan was of another time than all odometry
+        self._silent, self._tell_at = tuple[str, ...](), 0.0  # the silent topics that were told, and when the next may be
         self._moves = threading.Lock()  # odometry comes in a thread of Zenoh
         for heard in kept(options.keep):
             self.body.hear(heard, 0.0)
@@ -72,6 +74,7 @@ class Bridge:
         It is 3 when a younger body has taken the name, and 4 when the run is strict and not all have come.
         """
         drive_at = 0.0
+        self._tell_at = time.monotonic() + TELL_PERIOD
         while not (over.is_set() or self.body.replaced or self.body.over or self.body.incomplete):
             with contextlib.suppress(queue.Empty):
                 self._on_heard(self._client.events.get(timeout=WAKE))
@@ -82,7 +85,17 @@ class Bridge:
             if time.monotonic() >= drive_at:
                 drive_at = time.monotonic() + DRIVE_PERIOD
                 self._command(*self.body.motion(time.monotonic()))
-        return 3 if self.body.replaced else 4 if self.body.incomplete else 0
+            self._tell_silence(time.monotonic())
+        ends = (
+            (self.body.replaced, 3, f"a younger body of {self._options.agent} is in the run, and this one ends"),
+            (self.body.incomplete, 4, "not all agents have come, and the run is strict"),
+            (self.body.over, 0, "the run is over"),
+        )
+        for is_so, code, why in ends:
+            if is_so:
+                print(f"bridge: {why}", file=sys.stderr)
+                return code
+        return 0
 
     def close(self) -> None:
         """Stop the robot and leave both networks."""
@@ -136,6 +149,15 @@ class Bridge:
             self._is_stamp_told, agent = True, self._options.agent
             right = f"should lie within 1 s before the newest of /{agent}/odom, {self._axle.stamp / 1e9:.3f} s; the nearest pose counts"
             print(f"bridge: /{agent}/detections: header.stamp = {stamp / 1e9:.3f} s: {right}", file=sys.stderr)
+
+    def _tell_silence(self, now: float) -> None:
+        """Say why the body is not in the run, and when it is again, at most once in a while."""
+        silent = self.body.silent(now)
+        if now >= self._tell_at and silent != self._silent:
+            self._tell_at, self._silent = now + TELL_PERIOD, silent
+            topics = " and ".join(f"/{self._options.agent}/{topic}" for topic in silent)
+            said = f"nothing comes of {topics}: the body is not in the run" if silent else "odometry and scans come: the body is in the run"
+            print(f"bridge: {said}", file=sys.stderr)
 
     def _on_heard(self, heard: Heard) -> None:
         """Take what the swarm says; the agent's estimate is for people who watch in ROS."""

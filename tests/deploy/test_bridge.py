@@ -112,6 +112,34 @@ def test_the_file_of_the_halt_holds_the_order_that_counts(tmp_path: Path, capsys
     assert "No such file or directory: the halt is not kept" in capsys.readouterr().err
 
 
+def test_a_bridge_names_the_topics_that_keep_its_body_out_of_the_run_and_says_when_it_is_in(capsys: pytest.CaptureFixture[str]) -> None:
+    bridge, desk = Bridge.__new__(Bridge), Desk()
+    bridge.body, bridge._options, bridge._silent, bridge._tell_at = desk.body, BridgeOptions(Path(), "s3"), (), 100.0
+    for now in (99.0, 100.0, 101.0):
+        bridge._tell_silence(now)
+    desk.at(103.0)
+    bridge._tell_silence(103.0)
+    desk.body.at((1.0, 2.0, 0.5), 106.0)
+    bridge._tell_silence(106.0)
+    assert capsys.readouterr().err.splitlines() == [
+        "bridge: nothing comes of /s3/odom and /s3/detections: the body is not in the run",
+        "bridge: odometry and scans come: the body is in the run",
+        "bridge: nothing comes of /s3/detections: the body is not in the run",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("end", "code", "why"),
+    [("replaced", 3, "a younger body of s3 is in the run"), ("incomplete", 4, "not all agents have come"), ("over", 0, "the run is over")],
+)
+def test_a_bridge_that_ends_by_itself_says_why(end: str, code: int, why: str, capsys: pytest.CaptureFixture[str]) -> None:
+    bridge = Bridge.__new__(Bridge)
+    bridge.body, bridge._options = Desk().body, BridgeOptions(Path(), "s3")
+    setattr(bridge.body, end, True)
+    assert bridge.serve(threading.Event()) == code
+    assert capsys.readouterr().err.startswith(f"bridge: {why}")
+
+
 def head(frame: str, stamp: float) -> Any:
     """A header of this stamp, s."""
     nanoseconds = round(stamp * 1e9)
