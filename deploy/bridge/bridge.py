@@ -147,7 +147,8 @@ class Bridge:
         """Say once that a scan is of another time than the odometry that is kept."""
         if not self._is_stamp_told and not self._axle.spans(stamp):
             self._is_stamp_told, agent = True, self._options.agent
-            right = f"should lie within 1 s before the newest of /{agent}/odom, {self._axle.stamp / 1e9:.3f} s; the nearest pose counts"
+            newest = f"the newest of /{agent}/odom, {self._axle.stamp / 1e9:.3f} s"
+            right = f"should lie from 1 s before to 0.2 s after {newest}; the nearest pose counts"
             print(f"bridge: /{agent}/detections: header.stamp = {stamp / 1e9:.3f} s: {right}", file=sys.stderr)
 
     def _tell_silence(self, now: float) -> None:

@@ -6,6 +6,7 @@ Everything runs in one event loop in the main thread (children must be started f
 
 import asyncio
 import logging
+import math
 import signal
 import time
 from collections.abc import Callable
@@ -38,14 +39,9 @@ from protocol.whole_file import write_whole
 GRACE = 2.5  # s for children to end by themselves
 WORLD_SECONDS = 60.0  # that a run which nobody attends stands still without a world before it ends
 LAST_LOOKS = 100  # every 10 ms, for the last ticks of a run
-EXIT_CRASHED = 1  # of a run in which a process ended by an exception
-EXIT_BAD_INPUT = 2
-STATES: dict[str, State] = {
-    "kill": "running",
-    "pause": "awake",
-    "resume": "paused",
-    "restart": "dead",
-}  # verb -> state of a process that it is for
+EXIT_CRASHED, EXIT_BAD_INPUT = 1, 2  # of a run in which a process ended by an exception; of one that refused its input
+LAST_BODY_SECONDS = 10.0  # and run.patience: between the first and the last body that ends with the run, at most
+STATES: dict[str, State] = {"kill": "running", "pause": "awake", "resume": "paused", "restart": "dead"}  # of a process that a verb is for
 
 log = logging.getLogger(__name__)
 
@@ -75,9 +71,8 @@ class Supervisor:
         admit = scenario.network.admit or tuple(scenario.members)
         network = msgspec.structs.replace(scenario.network, seeds=seeds, listen=NetworkSettings().listen, admit=admit)
         own = self._listens["monitor"]
-        others = tuple(seed for seed in seeds if seed != own)
         mode: Literal["peer", "router"] = "peer" if network.mode == "peer" else "router"
-        self._own_network = msgspec.structs.replace(network, mode=mode, listen=(own,), seeds=others)
+        self._own_network = msgspec.structs.replace(network, mode=mode, listen=(own,), seeds=tuple(seed for seed in seeds if seed != own))
         self.scenario = msgspec.structs.replace(scenario, network=network)
         self.scorer = Scorer(self.scenario, incarnation=time.time_ns() // 1_000_000)
         self.scorer.on_truth = self._on_truth
@@ -88,6 +83,7 @@ class Supervisor:
         self._advised = False
         self._attended = attended
         self._still_since: float | None = None  # when the world, or its last body, died
+        self._last_bodies_by = math.inf  # once a body has ended with the run: when the others should have
         self.children = {name: Child(name, package, directory, self._words(name, seeds)) for name, package in packages(scenario).items()}
         self._zygote = zygote
         for name in scenario.members:
@@ -151,7 +147,7 @@ class Supervisor:
             self._notice_pauses()
             for child in self.children.values():
                 child.write_what_waits()
-            self._end_without_world()
+            self._end_standstill()
             self.scorer.tick_rate.unread = driver.unread
             status = self._status()
             self._on_status(status)
@@ -178,12 +174,16 @@ class Supervisor:
                 helps = f"has been stopped from outside; `covey resume {child.name}` lets it go on"
                 self._tell(f"{child.name} {helps if verb == 'pause' else 'goes on, told from outside'}")
 
-    def _end_without_world(self) -> None:
-        """End a run whose world is dead, that nobody attends and that nobody has repaired."""
-        if self._attended or not self._pending or self._still_since is None or time.monotonic() < self._still_since + WORLD_SECONDS:
-            return
-        self._tell(f"the world has been dead for {WORLD_SECONDS:.0f} s and nobody has restarted it: the run ends")
-        self._end(EXIT_CRASHED)
+    def _end_standstill(self) -> None:
+        """End a run whose last bodies do not come to its end, or one whose world is dead and that nobody attends or has repaired."""
+        now = time.monotonic()
+        if self._pending and now > self._last_bodies_by:
+            late = [child.name for child in self.children.values() if child.body_of and child.is_running]
+            self._tell(f"the run is over and ends without {', '.join(late)}, not at the last tick yet")
+            self._end(0)
+        elif self._pending and not self._attended and self._still_since is not None and now >= self._still_since + WORLD_SECONDS:
+            self._tell(f"the world has been dead for {WORLD_SECONDS:.0f} s and nobody has restarted it: the run ends")
+            self._end(EXIT_CRASHED)
 
     def _status(self) -> Status:
         """The status of the swarm, and what its start waits for."""
@@ -267,6 +267,7 @@ class Supervisor:
         rest = [other for other in self.children.values() if child.package == other.package == "world" and other is not child]
         was_last = child.package == "world" and not any(other.is_running or not other.has_started for other in rest)
         if child.returncode == 0 and (was_last or child.body_of):
+            self._last_bodies_by = min(self._last_bodies_by, time.monotonic() + LAST_BODY_SECONDS + self.scenario.run.patience)
             if was_last:
                 self._end(0)
             return
@@ -349,9 +350,8 @@ class Supervisor:
             self._end(0)
             return {"ok": "going down"}
         fault = FaultSettings(at=0.0, verb=verb, who=who, value=request.get("value"), options=request.get("options") or {})
-        members = [*self.scenario.members]
-        known = [*members, *world_names(self.scenario)]
-        check_fault(fault, "", members, known, live=True, link_faults=self.scenario.network.link_faults)
+        members, link_faults = [*self.scenario.members], self.scenario.network.link_faults
+        check_fault(fault, "", members, [*members, *world_names(self.scenario)], live=True, link_faults=link_faults)
         self._notice_pauses()
         candidates = self._agents(STATES.get(verb, "running"))
         names = choose(who, candidates, list(self.children), self._rng) if who else candidates
@@ -446,5 +446,5 @@ class Supervisor:
 
     def _words(self, name: str, seeds: tuple[str, ...]) -> list[str]:
         """The command-line options of a process: its endpoints, and of an agent its sensor class."""
-        sensor = ["--sensor", self.scenario.members[name]] if name in self.scenario.members else []
-        return [*endpoints(name, self._listens, seeds), *sensor]
+        members = self.scenario.members
+        return [*endpoints(name, self._listens, seeds), *(["--sensor", members[name]] if name in members else [])]

@@ -86,7 +86,7 @@ def let_run(supervisor: Supervisor, codes: dict[str, int]) -> int | None:
         for name, code in codes.items():
             supervisor.children[name].process = Process(code)  # type: ignore[assignment]
             supervisor._reap()
-        supervisor._end_without_world()
+        supervisor._end_standstill()
         return over.result() if over.done() else None
 
     return asyncio.run(run())
@@ -110,6 +110,16 @@ def test_a_run_of_bodies_ends_with_the_last_of_them(
     monkeypatch.setattr(supervising, "WORLD_SECONDS", 0.0)
     assert let_run(made(tmp_path, monkeypatch, "own", attended=False), codes) == end
     assert ("stands still until `covey restart s2.body --run one`" in capsys.readouterr().out) == (end == 1)
+
+
+@pytest.mark.parametrize(("seconds", "end"), [(-100.0, 0), (100.0, None)])
+def test_a_run_ends_without_a_body_that_has_not_come_to_the_last_tick_for_long(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], seconds: float, end: int | None
+) -> None:
+    """It is paused, or its platform hangs."""
+    monkeypatch.setattr(supervising, "LAST_BODY_SECONDS", seconds)
+    assert let_run(made(tmp_path, monkeypatch, "own"), {"s1.body": 0}) == end
+    assert ("the run is over and ends without s2.body" in capsys.readouterr().out) == (end == 0)
 
 
 def test_a_run_whose_last_body_refuses_its_input_ends_and_waits_for_no_restart(
