@@ -145,6 +145,8 @@ class Scorer(Node):
                     self._names = dict.fromkeys(in_team_order(self._scenario, {*self._names, event.name}))
             case Alive(role="body") if event.name in self._names:
                 self.greeted.add(self._bodies.get(event.name, event.name))
+            case Gone(role="body") if event.name in self._names:
+                self.tick_rate.excuse(event.name)
             case Gone(role="agent") if not self.is_over and self._presence.vanish(event.name, event.incarnation):
                 self._lose(event.name, event.incarnation, now)
             case Rejected():

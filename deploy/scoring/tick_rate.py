@@ -93,7 +93,7 @@ class TickRateMeter:
         self._paces.pop(name, None)
 
     def excuse(self, name: str) -> None:
-        """An agent is paused on request: the rounds that it skips say nothing about the machine."""
+        """An agent is paused on request, or has lost its body: the rounds that it skips say nothing about the machine."""
         self._excused.add(name)
 
     @property

@@ -246,6 +246,13 @@ def test_the_loss_of_an_old_incarnation_is_no_loss(scenario: Scenario) -> None:
     assert scorer.result(1.0).kills == ()
 
 
+def test_an_agent_that_has_lost_its_body_skips_rounds_for_no_want_of_time(scenario: Scenario) -> None:
+    scorer = started(scenario)
+    for name in ("a", "of nobody"):
+        scorer.handle(Gone("body", name, 1), 0.0)
+    assert scorer.tick_rate._excused == {"a"}
+
+
 def test_when_the_younger_of_two_processes_of_a_name_ends_the_older_one_counts_again(scenario: Scenario) -> None:
     scorer = started(scenario)
     scorer.handle(truth(0), 0.0)
