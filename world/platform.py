@@ -149,7 +149,9 @@ def _pose(what: str, value: Any) -> Pose:
 
 
 def _detections(what: str, value: Any) -> np.ndarray:
-    """The detections (M, 2) float32; raises BadSetting for anything else."""
+    """The detections (M, 2) float32; raises BadSetting for anything else. `np.array([])`, which is (0,), holds none."""
+    if isinstance(value, np.ndarray) and value.shape == (0,):
+        value = np.empty((0, 2))
     found = real_array(f"{what}, detections:", value, (-1, 2))
     if len(found) > MAX_DETECTIONS or (len(found) and np.abs(found).max() > LARGEST_NUMBER):
         raise BadSetting(f"{what} returned {len(found)} detections: should be at most {MAX_DETECTIONS}, within {LARGEST_NUMBER:g} m")

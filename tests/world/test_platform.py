@@ -117,7 +117,7 @@ def test_its_own_detections_reach_the_agent(monkeypatch: pytest.MonkeyPatch) -> 
     assert seen.detections.tolist() == [[1.0, 2.0], [3.0, 4.0]]
 
 
-@pytest.mark.parametrize(("answer", "scanned"), [(False, False), (np.zeros((0, 2)), True)])
+@pytest.mark.parametrize(("answer", "scanned"), [(False, False), (np.zeros((0, 2)), True), (np.array([]), True)])
 def test_a_tick_without_a_scan_is_not_one_in_which_nothing_was_found(monkeypatch: pytest.MonkeyPatch, answer: Any, scanned: bool) -> None:
     [seen] = started(monkeypatch, ((5.0, 6.0, 7.0), answer)).handle(Timer(), 0.0)
     assert isinstance(seen, Observation)
