@@ -130,7 +130,7 @@ def main(
     on_line: Callable[[Role, str], None] | None = None,
     at_end: Callable[[Role], None] = lambda node: None,
 ) -> NoReturn:
-    """Run one process: read the configuration, build the node, drive it, leave with its exit code; 2 on bad input.
+    """Run one process: read the configuration, build the node, drive it, leave with its exit code; that of a BadSetting.
 
     `on_line` takes the lines that a parent writes to the standard input. Without it they set the link faults. `at_end` is called when
     the node is driven no more, but for an error in it.
@@ -156,7 +156,7 @@ def main(
         if error.__cause__ is not None:  # an error inside a class of the user's own: the log shows its traceback
             logging.getLogger(__name__).error("%s", error, exc_info=error.__cause__)
         print(f"{role}: {error}", file=sys.stderr)
-        code = 2
+        code = error.exit_code
     except Exception:
         logging.getLogger(__name__).exception("the process ends on an error of its own")
         code = 1

@@ -32,6 +32,8 @@ Fraction = Annotated[float, msgspec.Meta(ge=0.0, le=1.0)]
 class BadSetting(ValueError):
     """A setting is wrong; the text names the file, the field, the value and what would be right."""
 
+    exit_code = 2  # of a process that it ends
+
 
 class BadOption(BadSetting):
     """An option of a command is wrong, or the argument of the same name in Python."""

@@ -1,11 +1,13 @@
 """Platforms: what a body drives and reads, simulated or a robot of the user's own.
 
 A scenario names its own as `bodies.platform = "module:Class"`; it is built as Class(name, **bodies.parameters) in the process of the
-body. Every answer is checked. A wrong one ends the process of this body with one line, after the platform was told to stop.
+body. Every answer is checked. A wrong one ends the process of this body with one line, after the platform was told to stop. It may be
+started again: cables come loose, and localisations fail for a moment.
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import Any, Literal, Protocol
 
 import numpy as np
@@ -25,6 +27,22 @@ METHODS = ("read", "drive", "stop")
 BRAKED = 4.0  # s after which a body of mass that is not driven stands
 SIMULATED = "simulated"
 BUILT_AS = "Class(name, **bodies.parameters)"
+
+
+class PlatformFailed(BadSetting):
+    """A platform of the user's own has raised, or has given a wrong answer, after it was built."""
+
+    exit_code = 1
+
+
+@contextmanager
+def _failing(what: str) -> Iterator[None]:
+    """Turn what is raised inside the context, about an answer too, into a PlatformFailed."""
+    try:
+        with as_bad_setting(what):
+            yield
+    except BadSetting as error:
+        raise PlatformFailed(str(error)) from error.__cause__
 
 
 class Platform(Protocol):
@@ -112,7 +130,7 @@ class Physical:
 
 
 class CheckedPlatform:
-    """A platform of the user's own with checked answers; a wrong one raises BadSetting naming the class."""
+    """A platform of the user's own with checked answers; a wrong one raises PlatformFailed naming the class."""
 
     def __init__(self, platform: Platform, name: str) -> None:
         self._platform, self._name = platform, name
@@ -120,21 +138,21 @@ class CheckedPlatform:
     def read(self, tick: int) -> tuple[Pose, np.ndarray | Literal[False] | None]:
         """As the platform says."""
         what = f"{self._name}.read({tick})"
-        with as_bad_setting(what):
+        with _failing(what):
             answer = self._platform.read(tick)
-        if not isinstance(answer, tuple) or len(answer) != 2:
-            raise BadSetting(f"{what} returned {shown(answer)}: should be a pose and detections")
-        pose, detections = answer
-        return _pose(what, pose), detections if detections is None or detections is False else _detections(what, detections)
+            if not isinstance(answer, tuple) or len(answer) != 2:
+                raise BadSetting(f"{what} returned {shown(answer)}: should be a pose and detections")
+            pose, detections = answer
+            return _pose(what, pose), detections if detections is None or detections is False else _detections(what, detections)
 
     def drive(self, velocity: Vector, turn_rate: float) -> None:
         """Tell the platform."""
-        with as_bad_setting(f"{self._name}.drive"):
+        with _failing(f"{self._name}.drive"):
             self._platform.drive(velocity, turn_rate)
 
     def stop(self) -> None:
         """Tell the platform."""
-        with as_bad_setting(f"{self._name}.stop"):
+        with _failing(f"{self._name}.stop"):
             self._platform.stop()
 
 

@@ -106,6 +106,7 @@ def test_a_wrong_answer_stops_the_platform_and_names_the_class(monkeypatch: pyte
     with pytest.raises(BadSetting, match=complaint) as refused:
         body.handle(Timer(), 0.0)
     assert str(refused.value).startswith(f"{ROBOT}.read(0)") and "\n" not in str(refused.value)
+    assert refused.value.exit_code == 1, "systemd starts the process again"
     assert Robot.told[-1] == "stop"
 
 

@@ -3,11 +3,13 @@
 import os
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from deploy.scenario import resolve, toml_text
 from protocol import codec
 from protocol.fields import pack
 from protocol.messages import Halt
@@ -187,3 +189,22 @@ def test_a_world_beside_bodies_of_their_own_and_a_body_beside_a_world_are_refuse
     assert (central.returncode, central.stdout) == (2, "") and "bodies.host = 'own': every agent has a body process" in central.stderr
     body = world_process("--body", "s1", "--config", str(tmp_path / "world.toml"))
     assert (body.returncode, body.stdout) == (2, "") and "bodies.host = 'world': should be 'own' for --body" in body.stderr
+
+
+class Unplugged:
+    """A platform whose cable has come loose."""
+
+    def __init__(self, name: str) -> None:
+        self.stop = self.drive = lambda *_: None
+
+    def read(self, tick: int) -> None:
+        raise OSError("no such port")
+
+
+def test_the_body_of_a_platform_that_fails_ends_with_a_code_after_which_it_is_started_again(tmp_path: Path) -> None:
+    platform = f"{__name__}:{Unplugged.__name__}"
+    settings = {"team.composition": "A1", "bodies.host": "own", "bodies.platform": platform, "bodies.epoch": time.time()}
+    (tmp_path / "run.toml").write_text(toml_text(resolve("quick", settings)))
+    done = world_process("--body", "s1", "--config", str(tmp_path / "run.toml"))
+    assert done.returncode == 1
+    assert "raised OSError: no such port (test_world_main.py, line " in done.stderr.splitlines()[-1]
