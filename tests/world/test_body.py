@@ -106,18 +106,22 @@ def test_no_gossip_of_a_tick_after_the_last_one_ends_a_body(monkeypatch: pytest.
 def test_gossips_that_have_waited_while_a_platform_took_its_time_do_not_set_the_clock_back(monkeypatch: pytest.MonkeyPatch) -> None:
     """After 7 s the gossips of these 7 s are there at once; one that comes in time sets it on."""
     body = started(monkeypatch)
-    for event in (Alive("agent", "s2", 1), Alive("body", "s2", 1), Timer()):
+    for event in (*(Alive(role, name, 1) for role in ("agent", "body") for name in ("s2", "s3")), Timer()):
         body.handle(event, 0.0)
-    said = Gossip(sender="s2", incarnation=1, tick=1, pose=(1.0, 1.0, 0.0), cod=(1.0, 1.0), power_radius=0.0, unused=0.0)
-    for tick in (1, 15, 28):
-        assert body.handle(received(msgspec.structs.replace(said, tick=tick)), 7.0) == []
-        if tick == 1:
-            body.handle(Timer(), 7.0)
-            assert body.tick == 28
+
+    def hear(tick: int, now: float) -> None:
+        for name in ("s2", "s3"):
+            said = Gossip(sender=name, incarnation=1, tick=tick, pose=(1.0, 1.0, 0.0), cod=(1.0, 1.0), power_radius=0.0, unused=0.0)
+            body.handle(received(said), now)
+
+    hear(1, 7.0)
+    body.handle(Timer(), 7.0)
+    assert body.tick == 28
+    hear(15, 7.0)
     assert body.tick == 28 and body.counts()["clock_corrections"] == 0
-    for number in range(3):
-        body.handle(Timer(), 7.25 + 0.25 * number)
-    body.handle(received(msgspec.structs.replace(said, tick=60)), 7.76)
+    for now in (7.25, 7.5, 7.75):
+        body.handle(Timer(), now)
+    hear(60, 7.76)
     assert body.tick == 60
 
 
