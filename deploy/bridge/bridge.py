@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import Any
 
 import msgpack
+import zenoh
 
 from deploy.bridge.body import RobotBody
 from deploy.bridge.client import Heard, Participant
@@ -246,7 +247,11 @@ def run(options: BridgeOptions) -> int:
     check(options)
     over = threading.Event()
     signal.signal(signal.SIGINT, signal.SIG_DFL)  # a client waits in Zenoh for its router, where Python would not hear it
-    bridge = Bridge(options)
+    try:
+        bridge = Bridge(options)
+    except zenoh.ZError as error:
+        why = str(error).split(" at /")[0].replace("[", "")  # without the line of Zenoh's source
+        raise Wrong(f"--config {options.config}: network.listen, ca, certificate or key: {why}; should be a free port, and files") from None
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: over.set())
     print(f"bridge: /{options.agent}/odom and /{options.agent}/detections in, /{options.agent}/cmd_vel out; Ctrl-C stops it", flush=True)

@@ -3,6 +3,7 @@
 import json
 import math
 import os
+import signal
 import struct
 import subprocess
 import sys
@@ -17,7 +18,7 @@ from typing import Any
 import msgpack
 import pytest
 
-from deploy.bridge.bridge import Bridge, keep, kept, point, upright, vector
+from deploy.bridge.bridge import Bridge, keep, kept, point, run, upright, vector
 from deploy.bridge.client import Heard, Network, Participant, access_control, config_of
 from deploy.bridge.frames import Placement, fenced, moved, placed, wheels
 from deploy.bridge.odometry import Odometry
@@ -395,6 +396,21 @@ def test_wrong_input_is_one_line(run_file: Path) -> None:
     short.write_text("[run]\nname = 'x'\n")
     with pytest.raises(Wrong, match=r"bodies is missing; should be a run\.toml with all settings"):
         read_run(BridgeOptions(short, "s3"))
+
+
+def test_a_port_that_is_taken_and_a_certificate_that_is_missing_are_one_line(run_file: Path) -> None:
+    taken = live.open_session(NetworkSettings(listen=(endpoint := f"tcp/127.0.0.1:{free_port()}",)))
+    lost = {f"network.{field}": "no such file" for field in ("ca", "certificate", "key")}
+    interrupt = signal.getsignal(signal.SIGINT)
+    wrong = [({"network.listen": [endpoint]}, "Address already in use"), (lost, "No such file or directory")]
+    try:
+        for settings, why in wrong:
+            run_file.write_text(toml_text(resolve("quick", settings)))
+            with pytest.raises(Wrong, match=rf"network\.listen, ca, certificate or key: .*{why} \(os error \d+\); should be a free port"):
+                run(BridgeOptions(run_file, "s3"))
+    finally:
+        signal.signal(signal.SIGINT, interrupt)
+        taken.close()
 
 
 def test_without_the_package_of_messages_the_command_says_what_to_install(run_file: Path) -> None:
