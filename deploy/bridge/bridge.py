@@ -24,7 +24,7 @@ import zenoh
 
 from deploy.bridge.body import RobotBody
 from deploy.bridge.client import Heard, Participant
-from deploy.bridge.frames import Planar, heading_of, moved, placed, wheels
+from deploy.bridge.frames import Placement, Planar, heading_of, moved, placed, wheels
 from deploy.bridge.odometry import Odometry
 from deploy.bridge.ros import RosNode, message
 from deploy.bridge.settings import BridgeOptions, Wrong, check, read_run
@@ -33,6 +33,8 @@ from deploy.bridge.watchdog import BridgeWatchdog
 ARENA_FRAME = "map"
 DRIVE_PERIOD = 0.05  # s between two cmd_vel: drivers stop after some tenths of a second without
 WAKE = 0.02  # s at most between two looks at the clock
+ASTRAY = 1.0  # m beyond the fence
+EVERYWHERE = -math.inf, -math.inf, math.inf, math.inf  # where there is no fence
 TELL_PERIOD = 3.0  # s between two lines about silent topics, at least
 ODOMETRY, POSES, TWIST, POLYGON = (
     "nav_msgs/msg/Odometry",
@@ -49,13 +51,14 @@ class Bridge:
         self._options = options
         run, network, rules = read_run(options)
         self._client = Participant(network, run, options.agent)
-        self._limit = rules.turn_rate
+        self._limit, self._box = rules.turn_rate, rules.box
         self.body = RobotBody(rules, self._client.incarnation, self._client.say, self._client.appear)
         self._watchdog = BridgeWatchdog(rules.expected)
         self._axle = Odometry()  # of the robot, in the arena's frame
         self._frames: tuple[str, str] | None = None  # names of the odometry's frame and of the robot's own, once it has said them
         self._foreign: set[str] = set()  # other frames that scans have named
         self._is_stamp_told = False  # that a scan was of another time than all odometry
+        self._is_place_told = False  # that the robot was beyond its fence
         self._silent, self._tell_at = tuple[str, ...](), 0.0  # the silent topics that were told, and when the next may be
         self._moves = threading.Lock()  # odometry comes in a thread of Zenoh
         for heard in kept(options.keep):
@@ -117,6 +120,7 @@ class Bridge:
             self._frames = said.header.frame_id, said.child_frame_id
             self._axle.note(stamp_of(said.header), axle, (twist.linear.x, twist.linear.y, twist.angular.z))
             self.body.at(placed(axle, (offset, 0.0, 0.0)), time.monotonic())
+            self._tell_place(axle)
 
     def _on_detections(self, said: Any) -> None:
         """Note a scan in the odometry's frame or the robot's own, as its header says. There is no other, for nobody says where it lies.
@@ -143,6 +147,13 @@ class Bridge:
             self._foreign.add(named)
             right = f"should be {odometry!r}, the odometry's frame, or {own!r}, its child_frame_id"
             print(f"bridge: /{self._options.agent}/detections: header.frame_id = {named!r}: {right}; these do not count", file=sys.stderr)
+
+    def _tell_place(self, axle: Placement) -> None:
+        """Say once that the robot is well beyond the fence: most likely the frame of its odometry lies elsewhere."""
+        (x, y, _), (west, south, east, north), agent = axle, self._box or EVERYWHERE, self._options.agent
+        if not self._is_place_told and max(west - x, x - east, south - y, y - north) > ASTRAY:
+            self._is_place_told = True
+            print(f"bridge: /{agent}/odom: the robot is at {x:.1f}, {y:.1f} m, beyond bodies.fence: is --origin right?", file=sys.stderr)
 
     def _tell_stamp(self, stamp: int) -> None:
         """Say once that a scan is of another time than the odometry that is kept."""

@@ -165,7 +165,7 @@ def scan(frame: str, stamp: float, *places: tuple[float, float]) -> Any:
 def test_odometry_that_is_no_number_leaves_the_robots_heading_as_it_was() -> None:
     bridge = Bridge.__new__(Bridge)
     bridge.body, bridge._moves, bridge._options = Desk().body, threading.Lock(), BridgeOptions(Path(), "s3")
-    bridge._axle = Odometry()
+    bridge._axle, bridge._is_place_told, bridge._box = Odometry(), False, None
     for x in (1.0, math.nan):
         bridge._on_odometry(odometry(x, 2.0, 0.5, 0.0))
     assert bridge._axle.newest == pytest.approx((1.0, 2.0, 0.5))
@@ -175,6 +175,7 @@ def test_a_scan_counts_in_the_frames_of_the_odometry_and_of_the_robot_and_in_no_
     bridge = Bridge.__new__(Bridge)
     bridge.body, bridge._moves, bridge._options = Desk().body, threading.Lock(), BridgeOptions(Path(), "s3", origin=(10.0, 0.0, 0.0))
     bridge._axle, bridge._frames, bridge._foreign, bridge._is_stamp_told = Odometry(), None, set(), False
+    bridge._is_place_told, bridge._box = False, None
 
     def places(frame: str) -> list[tuple[float, float]] | None:
         bridge.body._scan = None
@@ -201,6 +202,7 @@ def test_a_detection_of_a_turning_robot_is_placed_by_the_pose_at_the_stamp_of_it
     bridge = Bridge.__new__(Bridge)
     bridge.body, bridge._moves, bridge._options = Desk().body, threading.Lock(), BridgeOptions(Path(), "s3", origin=(10.0, 0.0, 0.3))
     bridge._axle, bridge._is_stamp_told, newest = Odometry(), False, 1.7e9
+    bridge._is_place_told, bridge._box = False, None
 
     def where(time: float) -> tuple[float, float, float]:
         return 0.2 * time, 1.0, math.pi - 0.3 + 0.105 + time
@@ -222,7 +224,7 @@ def test_a_scan_that_is_a_moment_ahead_of_all_odometry_is_placed_where_the_robot
     """At 1 m/s and 1 rad/s. A scan farther ahead is of another clock; a twist that is no number is none."""
     bridge = Bridge.__new__(Bridge)
     bridge.body, bridge._moves, bridge._options = Desk().body, threading.Lock(), BridgeOptions(Path(), "s3")
-    bridge._axle, bridge._is_stamp_told = Odometry(), False
+    bridge._axle, bridge._is_stamp_told, bridge._is_place_told, bridge._box = Odometry(), False, False, None
     bridge._on_odometry(odometry(3.0, 1.0, 0.5, 1.7e9, (1.0, 0.0, turn)))
     bridge._on_detections(scan("base", 1.7e9 + ahead, (2.0, 0.0)))
     there = placed((3.0, 1.0, 0.5), (math.sin(ahead), 1.0 - math.cos(ahead), ahead)) if moves and turn == 1.0 else (3.0, 1.0, 0.5)
@@ -236,6 +238,17 @@ def test_odometry_whose_clock_is_set_back_or_that_has_no_stamps_counts_from_then
         track.note(stamp, first)
         track.note(stamp, second)
         assert track.newest == track.at(0) == track.at(2_500_000_000) == track.at(9_000_000_000) == second
+
+
+@pytest.mark.parametrize("fence", [True, False])
+def test_a_robot_well_beyond_its_fence_is_told_of_once(fence: bool, capsys: pytest.CaptureFixture[str]) -> None:
+    bridge = Bridge.__new__(Bridge)
+    bridge.body, bridge._moves, bridge._options = Desk().body, threading.Lock(), BridgeOptions(Path(), "s3", origin=(0.0, 50.0, 0.0))
+    bridge._axle, bridge._is_place_told, bridge._box = Odometry(), False, (-0.3, -0.3, 5.3, 5.3) if fence else None
+    for y in (-44.0, -43.0, -42.0):
+        bridge._on_odometry(odometry(1.0, y, 0.0, 0.0))
+    said = "bridge: /s3/odom: the robot is at 1.0, 7.0 m, beyond bodies.fence: is --origin right?\n"
+    assert capsys.readouterr().err == (said if fence else "")
 
 
 def test_wheels_move_the_sensor_at_the_velocity_that_was_asked_for() -> None:
