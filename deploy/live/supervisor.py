@@ -40,7 +40,7 @@ GRACE = 2.5  # s for children to end by themselves
 WORLD_SECONDS = 60.0  # that a run which nobody attends stands still without a world before it ends
 LAST_LOOKS = 100  # every 10 ms, for the last ticks of a run
 EXIT_CRASHED, EXIT_BAD_INPUT = 1, 2  # of a run in which a process ended by an exception; of one that refused its input
-LAST_BODY_SECONDS = 10.0  # and run.patience: between the first and the last body that ends with the run, at most
+LAST_BODY_SECONDS = 10.0  # and run.patience, and a tick: between the first and the last body that ends with the run, at most
 STATES: dict[str, State] = {"kill": "running", "pause": "awake", "resume": "paused", "restart": "dead"}  # of a process that a verb is for
 
 log = logging.getLogger(__name__)
@@ -80,7 +80,7 @@ class Supervisor:
         self.scorer.on_differing = self._on_differing
         self.scorer.on_report = lambda told: on_event(f"[{told.time:.1f} s] {told.text}")
         self.crashed: list[str] = []  # processes that have ended by an exception or a crash of their own
-        self._advised = False
+        self._advised, self._winding_down = False, False
         self._attended = attended
         self._still_since: float | None = None  # when the world, or its last body, died
         self._last_bodies_by = math.inf  # once a body has ended with the run: when the others should have
@@ -95,7 +95,6 @@ class Supervisor:
         self._links = Links(scenario.run.seed, list(scenario.members))
         self._on_event, self._on_status = on_event, on_status
         self._over: asyncio.Future[int] | None = None
-        self._winding_down = False
         self._started_at = time.monotonic()
         self._first_truth_at: float | None = None
         self._rng = np.random.default_rng()  # of commands by hand only; those of the scenario are drawn from its seed
@@ -267,7 +266,8 @@ class Supervisor:
         rest = [other for other in self.children.values() if child.package == other.package == "world" and other is not child]
         was_last = child.package == "world" and not any(other.is_running or not other.has_started for other in rest)
         if child.returncode == 0 and (was_last or child.body_of):
-            self._last_bodies_by = min(self._last_bodies_by, time.monotonic() + LAST_BODY_SECONDS + self.scenario.run.patience)
+            late = LAST_BODY_SECONDS + self.scenario.run.patience + self.scenario.run.dt / self.scenario.run.rate
+            self._last_bodies_by = min(self._last_bodies_by, time.monotonic() + late)
             if was_last:
                 self._end(0)
             return
