@@ -94,6 +94,8 @@ class Agent(Node):
             case Alive():
                 return self.membership.alive(event, now)
             case Gone():
+                if event.role == "body" and event.name == self.name:
+                    self._pace.forget()  # ticks that do not come are not missed for want of time
                 tick = self.tick if event.role == "body" else self._newest_tick
                 if self.membership.gone(event, tick, suspected=self._health.has_just_stalled(now)):
                     self._awaited.discard(event.name)

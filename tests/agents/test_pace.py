@@ -3,6 +3,9 @@
 import pytest
 
 from agents.pace import Pace
+from protocol.messages import Gossip
+from protocol.node import Alive, Gone, Timer
+from tests.agents.test_agent import met, see
 
 PERIOD = 0.125
 
@@ -134,3 +137,19 @@ def test_after_a_tick_between_that_took_too_long_there_is_no_time_until_the_next
 
 def test_no_pace_is_kept_in_lockstep() -> None:
     assert set(play(Pace(PERIOD, measured=False), range(40), 0.3, [8])) == {1}
+
+
+@pytest.mark.parametrize("is_away", [True, False])
+def test_ticks_for_which_the_body_is_away_are_no_reason_to_slow_down(is_away: bool) -> None:
+    """Odometry that comes too rarely takes the body out of the run between two of its messages."""
+    agent, said = met(), list[Gossip]()
+    for number in range(80):
+        now = 0.25 * number  # half a tick
+        agent.handle(Timer(), now)
+        if number % 8 == 0:
+            agent.handle(Alive("body", "s1", 1), now)
+            said += [effect for effect in agent.handle(see(number // 2), now) if isinstance(effect, Gossip)]
+        elif is_away:
+            agent.handle(Gone("body", "s1", 1), now)
+        agent.handle(Timer(), now)  # it has taken no time
+    assert (max(gossip.pace for gossip in said) == 1) == is_away
