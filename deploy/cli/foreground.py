@@ -69,7 +69,7 @@ def run_in_foreground(
                 shown = OK
                 if supervisor.result is not None:
                     shown = show_result(supervisor.result, directory.path, showing.json)
-                    if other is not None and supervisor.result.ticks:
+                    if other is not None and supervisor.result.ticks and supervisor.result.has_targets:
                         display.event(beside_in_words(supervisor.result, other))
                 if stays and code in (0, EXIT_CRASHED):
                     display.event(f"the page stays at {address} until Enter or Ctrl-C")

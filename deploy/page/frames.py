@@ -14,6 +14,7 @@ import msgspec
 import numpy as np
 
 from deploy.page.picture import Happening, KnownAgent, Picture, silent_after
+from deploy.scenario import has_targets
 from deploy.scoring.scorer import Score
 from protocol.keys import order
 from protocol.observer_messages import Estimate
@@ -26,6 +27,7 @@ RECENT_PER_AGENT = 3  # so many for each agent: a whole team may be lost, and to
 MOST_POINTS = 1200  # of a curve in a greeting
 MOST_PARTICLES = 3000  # of one agent's belief
 CURVES = ("time", "ospa", "gospa", "targets", "estimated", "mass", "hole", "overlap")
+COMPARED = ("ospa", "gospa", "targets")  # of them those that need true targets
 
 _encode = msgspec.json.Encoder().encode
 
@@ -45,7 +47,7 @@ def greeting(picture: Picture, scores: Sequence[Score], about: dict[str, Any]) -
         "cutoff": picture.scenario.study.cutoff,
         "silent": silent_after(picture.scenario) * run.dt,
         "agents": [_outfit(known) for known in picture.agents.values()],
-        "curves": curves(scores),
+        "curves": curves(scores, has_targets(picture.scenario)),
         "happenings": [_happening(one) for one in picture.happenings],
         "trails": trails(picture),
         **about,
@@ -81,7 +83,7 @@ def moment(picture: Picture, score: Score | None) -> dict[str, Any]:
         "type": "frame",
         "tick": truth.tick if truth else -1,
         "time": truth.time if truth else 0.0,
-        "score": curve_values(score),
+        "score": curve_values(score, has_targets(picture.scenario)),
         "messages": picture.messages,
         "targets": _flat(truth.targets) if truth else [],
         "ids": [int(number) % 2**31 for number in truth.ids] if truth else [],
@@ -90,9 +92,9 @@ def moment(picture: Picture, score: Score | None) -> dict[str, Any]:
     }
 
 
-def curve_values(score: Score | None) -> list[float] | None:
-    """The figures of a tick in the order of `CURVES`."""
-    return [round(float(getattr(score, name)), 4) for name in CURVES] if score else None
+def curve_values(score: Score | None, compares: bool) -> list[float | None] | None:
+    """The figures of a tick in the order of `CURVES`; None for those of `COMPARED` unless there are true targets."""
+    return [_figure(score, name, compares) for name in CURVES] if score else None
 
 
 def thinned(scores: Sequence[Score]) -> Sequence[Score]:
@@ -101,20 +103,20 @@ def thinned(scores: Sequence[Score]) -> Sequence[Score]:
     return [max(scores[at : at + step], key=lambda score: score.hole + score.overlap) for at in range(0, len(scores), step)]
 
 
-def curves(scores: Sequence[Score]) -> dict[str, list[float]]:
-    """The scores by name, thinned out."""
+def curves(scores: Sequence[Score], compares: bool = True) -> dict[str, list[float | None]]:
+    """The scores by name, thinned out; `compares` as in `curve_values`."""
     kept = thinned(scores)
-    return {name: [_rounded(getattr(score, name)) for score in kept] for name in CURVES}
+    return {name: [_figure(score, name, compares) for score in kept] for name in CURVES}
 
 
-def beside(scores: Sequence[Score], others: Sequence[Score]) -> list[float | None]:
-    """The OSPA of another swarm at the points of the curves of these scores, m; None where it has none."""
-    errors = {score.tick: _rounded(score.ospa) for score in others}
+def beside(scores: Sequence[Score], others: Sequence[Score], compares: bool = True) -> list[float | None]:
+    """The OSPA of another swarm at the points of the curves of these scores, m; None where it has none. `compares` as above."""
+    errors = {score.tick: _figure(score, "ospa", compares) for score in others}
     return [errors.get(score.tick) for score in thinned(scores)]
 
 
-def _rounded(value: float) -> float:
-    return round(float(value), 4)
+def _figure(score: Score, name: str, compares: bool) -> float | None:
+    return round(float(getattr(score, name)), 4) if compares or name not in COMPARED else None
 
 
 def trails(picture: Picture) -> dict[str, Any]:

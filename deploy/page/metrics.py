@@ -9,11 +9,13 @@ from prometheus_client import CONTENT_TYPE_LATEST, CollectorRegistry, generate_l
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily
 
 from deploy.page.picture import KnownAgent, Picture
+from deploy.scenario import has_targets
 from deploy.scoring.scores import Score
 from protocol.observer_messages import Estimate
 
 CONTENT_TYPE = CONTENT_TYPE_LATEST
 STATES = ("waiting", "alive", "listening", "silent", "paused", "dead")
+COMPARED = ("ospa_meters", "gospa_meters", "targets", "targets_in_view")  # families that need true targets
 Sample = tuple[dict[str, str], float]
 
 
@@ -43,9 +45,11 @@ class SwarmCollector:
         self._picture, self._score, self._page = picture, score, page
 
     def collect(self) -> Iterator[GaugeMetricFamily | CounterMetricFamily]:
-        """All families; every sample carries the name of the run."""
-        run = self._picture.scenario.run.name
+        """All families, without `COMPARED` where there are no true targets; every sample carries the name of the run."""
+        run, compares = self._picture.scenario.run.name, has_targets(self._picture.scenario)
         for family in (*_swarm(self._picture), *_scores(self._score), *_agents(self._picture), *_page(self._page)):
+            if family.name in COMPARED and not compares:
+                continue
             labels = ["run", *(family.samples[0][0] if family.samples else ())]
             make = GaugeMetricFamily if family.kind == "gauge" else CounterMetricFamily
             metric = make(f"covey_{family.name}", family.text, labels=labels)

@@ -6,7 +6,7 @@ from typing import Any
 from deploy.faults.faults import Action
 from deploy.page.frames import beside
 from deploy.page.picture import Picture
-from deploy.scenario import Scenario
+from deploy.scenario import Scenario, has_targets
 from deploy.scoring.scorer import Score
 from deploy.simulation import Simulation
 from protocol.settings import BadSetting
@@ -16,7 +16,7 @@ DONE_TO_BOTH = ("kill", "restart")  # verbs of the page
 
 def about_two(left: str, scores: Sequence[Score], right: "SimulatedSwarm") -> dict[str, Any]:
     """What a page must know to show two swarms: their names, and the errors of the right one at the points of the left curves."""
-    return {"names": [left, right.name], "ospa": beside(scores, right.scores)}
+    return {"names": [left, right.name], "ospa": beside(scores, right.scores, has_targets(right.picture.scenario))}
 
 
 class SimulatedSwarm:

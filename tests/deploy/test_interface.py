@@ -94,6 +94,10 @@ def test_a_run_is_that_of_the_simulation_and_its_arrays_are_the_series_behind_th
     )
 
 
+def test_a_run_without_true_targets_shows_no_error() -> None:
+    assert repr(covey.simulate("quick", seconds=1, targets=0)) == "<Run of quick, seed 1: 6 agents, 4 ticks of 0.25 s; OSPA ->"
+
+
 def test_bodies_stand_where_the_arrays_say(run: covey.Run) -> None:
     from deploy.simulation import Simulation
 

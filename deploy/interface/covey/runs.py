@@ -196,6 +196,7 @@ class Run:
     def __repr__(self) -> str:
         result = self.result
         ospa = f"OSPA {result.mean_ospa:.2f} m mean, {result.steady_ospa:.2f} m steady, {result.final_ospa:.2f} m at the end"
+        ospa = ospa if result.has_targets else "OSPA -"
         return f"<Run of {result.scenario}, seed {result.seed}: {result.agents} agents, {result.ticks} ticks of {result.dt:g} s; {ospa}>"
 
 

@@ -241,7 +241,7 @@ export class Arena {
   // Which diagram this is, how large its error is, as the figures say it, and how far it lags where it cannot keep up. Returns the box that the words take.
   headline() {
     const c = this.pen, { told, scene } = this.state, moment = this.scene === scene ? told : told?.beside;
-    const error = moment?.score ? `, OSPA ${short(moment.score[1], 2)} m` : "", behind = moment?.time < told?.time ? `, ${(told.time - moment.time).toFixed(1)} s behind` : "";
+    const error = typeof moment?.score?.[1] === "number" ? `, OSPA ${short(moment.score[1], 2)} m` : "", behind = moment?.time < told?.time ? `, ${(told.time - moment.time).toFixed(1)} s behind` : "";
     c.font = `600 ${13 * this.unit}px system-ui, sans-serif`;
     c.textAlign = "left";
     c.textBaseline = "bottom";

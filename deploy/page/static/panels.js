@@ -16,7 +16,7 @@ export function buildFigures(box) {
 export function fillFigures(box, state) {
   const { frame, rate } = state, score = frame.score, alive = frame.agents.filter((agent) => !["dead", "waiting"].includes(agent.state)).length;
   const values = score
-    ? [[short(score[1], 2), "m"], [short(score[2], 1), "m"], [`${score[4]} of ${score[3]}`, ""], [short(score[5], 1), "mass"]]
+    ? [[short(score[1], 2), "m"], [short(score[2], 1), "m"], [`${score[4]} of ${short(score[3], 0)}`, ""], [short(score[5], 1), "mass"]]
     : [["–", ""], ["–", ""], ["–", ""], ["–", ""]];
   values.push([`${alive} of ${frame.agents.length}`, ""], [score ? short(100 * score[6], 2) : "–", "%"], [score ? short(100 * score[7], 2) : "–", "%"]);
   values.push([rate === null ? "–" : rate.toFixed(0), "/s"]);

@@ -64,8 +64,9 @@ export function tellCutoff(cutoff) {
   TEXTS.GOSPA[3] = `Each missed or invented target adds ${cutoff / 2} m.`;
 }
 
-// A number with so many digits after the point, fewer where it is large.
+// A number with so many digits after the point, fewer where it is large; a dash for null.
 export function short(value, digits) {
+  if (value === null) return "–";
   const size = Math.abs(value);
   return size >= 1e5 ? value.toExponential(2).replace("e+", "e") : value.toFixed(size >= 1000 ? 0 : size >= 100 ? Math.min(1, digits) : digits);
 }
