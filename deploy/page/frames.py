@@ -162,20 +162,20 @@ def _outfit(known: KnownAgent) -> dict[str, Any]:
 
 def _agent(picture: Picture, known: KnownAgent) -> dict[str, Any]:
     gossip, estimate = picture.said(known)
-    pose = picture.pose(known.name)
+    pose, alive = picture.pose(known.name), picture.is_alive(known)
     data: dict[str, Any] = {"name": known.name, "state": known.state, "incarnation": known.incarnation, "age": picture.age(known)}
     data["pose"] = [round(pose[0], 2), round(pose[1], 2), round(pose[2], 3)] if pose else None
     if gossip is not None:
-        data["seen"] = _flat(known.places(gossip)) if known.alive else []
+        data["seen"] = _flat(known.places(gossip)) if alive else []
         data["said"] = gossip.tick
         data["cod"], data["radius"] = [round(gossip.cod[0], 2), round(gossip.cod[1], 2)], round(gossip.power_radius, 2)
     if estimate is not None:
         rejected = sum(count for name, count in estimate.counters.items() if name.startswith("rejected."))
-        data["cell"] = _flat(estimate.cell) if known.alive else []
-        data["targets"] = _flat(estimate.targets) if known.alive else []
+        data["cell"] = _flat(estimate.cell) if alive else []
+        data["targets"] = _flat(estimate.targets) if alive else []
         data["neighbours"] = estimate.neighbours
-        data["labels"] = estimate.labels.tolist() if known.alive else []
-        data["velocities"] = _flat(estimate.details[:, :2]) if known.alive else []
+        data["labels"] = estimate.labels.tolist() if alive else []
+        data["velocities"] = _flat(estimate.details[:, :2]) if alive else []
         data["unused"], data["load"], data["mass"] = round(estimate.unused, 2), round(estimate.load, 3), round(estimate.mass, 3)
         data["skipped"], data["late"] = estimate.counters.get("skipped", 0), estimate.counters.get("late", 0)
         data["ms"], data["rejected"] = round(1000.0 * estimate.round_seconds, 2), rejected + known.rejected

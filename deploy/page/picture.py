@@ -64,6 +64,7 @@ class KnownAgent:
     incarnation: int = UNKNOWN
     alive: bool = False  # its token is up
     seen: bool = False  # it has been alive at some time
+    gone_from: int = 0  # the first tick without it, once its token has gone
     gossip: Gossip | None = None  # the newest
     estimate: Estimate | None = None
     gossips: dict[int, Gossip] = field(default_factory=dict)  # those of the last ticks
@@ -80,6 +81,7 @@ class KnownAgent:
     def forget(self) -> None:
         """Forget what it has said."""
         self.gossip = self.estimate = None
+        self.gone_from = 0
         self.gossips.clear()
         self.estimates.clear()
 
@@ -207,6 +209,10 @@ class Picture:
         known = [truth for truth in self.trail if truth.tick == tick]
         self.shown = known[-1] if known else self.truth
 
+    def is_alive(self, known: KnownAgent) -> bool:
+        """Whether an agent is alive at the tick that is drawn: its token is up, or has gone after that tick."""
+        return known.alive or (self.shown is not None and self.shown.tick < known.gone_from)
+
     def pose(self, name: str) -> tuple[float, float, float] | None:
         """Where a body is at the tick that is drawn: as the world says, else as the agent says; x, y in m, heading in rad."""
         if self.shown is not None and name in self.shown.bodies:
@@ -232,13 +238,13 @@ class Picture:
         return max(0, self.truth.tick - known.gossip.tick) * self.scenario.run.dt
 
     def particles(self) -> np.ndarray:
-        """Every particle or node of a component that a live agent owned after the tick that is drawn, (N, 3): x, y in m, weight."""
+        """Every particle or node of a component that a living agent owned after the tick that is drawn, (N, 3): x, y in m, weight."""
         parts = []
         for known in self.agents.values():
             gossip = self.outcome(known)
-            if known.alive and gossip is not None and len(gossip.states):
+            if self.is_alive(known) and gossip is not None and len(gossip.states):
                 parts.append(np.column_stack([gossip.states[:, :2], np.full(len(gossip.states), gossip.weight)]))
-            if known.alive and gossip is not None and len(gossip.components):
+            if self.is_alive(known) and gossip is not None and len(gossip.components):
                 spread = weighted_points(unpacked(gossip.components))
                 parts.append(np.column_stack([spread.states[:, :2], spread.weights]))
         return np.concatenate(parts) if parts else np.empty((0, 3))
@@ -313,6 +319,7 @@ class Picture:
             known.incarnation = older
             return
         known.alive = False
+        known.gone_from = max(self.truth.tick if self.truth else 0, known.estimate.tick + 1 if known.estimate else 0)
         self._settle()
         self._limit_strangers(name)
 

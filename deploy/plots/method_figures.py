@@ -54,15 +54,14 @@ SeenAgents = dict[str, SeenAgent]  # by name
 def seen_agents_by_tick(recording: Recording) -> list[SeenAgents]:
     """All agents at every tick from which all of them were heard; raises BadSetting without such a tick."""
     found: list[SeenAgents] = []
-    for picture, truth in moments(recording):
+    for picture, _ in moments(recording):
         moment: SeenAgents = {}
         for index, known in enumerate(picture.agents.values()):
             gossip, estimate = picture.said(known)
             pose = picture.pose(known.name)
             if gossip is not None and estimate is not None and pose is not None and known.sensor is not None:
                 colour = MUTED[index % len(MUTED)]
-                spoke = estimate.tick == truth.tick  # the token may go while this tick is still drawn
-                moment[known.name] = SeenAgent(known.name, known.alive or spoke, pose, known.sensor, gossip, estimate, colour)
+                moment[known.name] = SeenAgent(known.name, picture.is_alive(known), pose, known.sensor, gossip, estimate, colour)
         if moment and len(moment) == len(picture.agents):
             found.append(moment)
     if not found:

@@ -95,16 +95,16 @@ def draw_moment(axes: Axes, picture: Picture) -> None:
     axes.imshow(shades, origin="lower", extent=(0.0, columns * square, 0.0, rows * square), interpolation="bilinear", zorder=2)
     for index, known in enumerate(picture.agents.values()):
         _, estimate = picture.said(known)
-        pose = picture.pose(known.name)
+        pose, alive = picture.pose(known.name), picture.is_alive(known)
         colour = MUTED[index % len(MUTED)]
-        if known.alive and estimate is not None and len(estimate.cell):
+        if alive and estimate is not None and len(estimate.cell):
             axes.fill(*estimate.cell.T, facecolor=colour, alpha=0.14, edgecolor="none", zorder=1)
             axes.fill(*estimate.cell.T, facecolor="none", edgecolor=colour, linewidth=0.6, zorder=3)
-        if known.alive and pose is not None and known.sensor is not None:
+        if alive and pose is not None and known.sensor is not None:
             axes.fill(*known.sensor.footprint(pose).T, facecolor=colour, alpha=0.1, edgecolor=colour, linewidth=0.4, zorder=2)
         if pose is not None:
-            _body(axes, pose, colour, known.alive)
-        if known.alive and estimate is not None:
+            _body(axes, pose, colour, alive)
+        if alive and estimate is not None:
             axes.plot(*estimate.targets.T, "o", color=ESTIMATE, markersize=3.0, zorder=6)
     if picture.shown is not None:
         axes.plot(*picture.shown.targets.T, "o", color=TARGET, markersize=5.0, markerfacecolor="none", markeredgewidth=0.7, zorder=5)
@@ -121,7 +121,7 @@ def draw_trajectories(axes: Axes, picture: Picture, ways: Trajectories) -> None:
         if body and pose:
             axes.plot(*np.array(body).T, color=colour, linewidth=0.8, zorder=3)
             axes.plot(*body[0], ".", color=colour, markersize=3.0, zorder=3)
-            _body(axes, pose, colour, known.alive)
+            _body(axes, pose, colour, picture.is_alive(known))
 
 
 def _arena(axes: Axes, picture: Picture) -> None:

@@ -62,13 +62,13 @@ def scene(picture: Picture, time: float) -> Json:
     for index, name in enumerate(picture.agents):
         known = picture.agents[name]
         pose = picture.pose(name)
-        if known.alive and pose is not None:
+        if picture.is_alive(known) and pose is not None:
             entities.append(_agent(picture, name, pose, (*colour_of(index), 1.0), stamp))
         else:
             gone.append({"timestamp": stamp, "type": 0, "id": f"agent {name}"})
     if picture.shown is not None:
         entities.append(_entity("targets", stamp, spheres=[_ball(place, 0.8, (1.0, 1.0, 1.0, 0.9)) for place in picture.shown.targets]))
-    said = [picture.said(known)[1] for known in picture.agents.values() if known.alive]
+    said = [picture.said(known)[1] for known in picture.agents.values() if picture.is_alive(known)]
     found = [(place, label) for one in said if one is not None for place, label in zip(one.targets.tolist(), one.labels.tolist())]
     spheres = [_ball(place, 0.55, (1.0, 0.69, 0.0, 1.0)) for place, _ in found]
     names = [_text((x, y + 0.8), str(label), 0.7) for (x, y), label in found if label]

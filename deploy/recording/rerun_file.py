@@ -67,8 +67,10 @@ def _log_bodies(stream: "RecordingStream", picture: Picture) -> None:
     import rerun
 
     poses = {name: picture.pose(name) for name in picture.agents}
-    living = [(index, name, pose) for index, (name, pose) in enumerate(poses.items()) if pose and picture.agents[name].alive]
-    dead = [(name, pose) for name, pose in poses.items() if pose and not picture.agents[name].alive and picture.agents[name].seen]
+    living = [(index, name, pose) for index, (name, pose) in enumerate(poses.items()) if pose and picture.is_alive(picture.agents[name])]
+    dead = [
+        (name, pose) for name, pose in poses.items() if pose and not picture.is_alive(picture.agents[name]) and picture.agents[name].seen
+    ]
     arrows = rerun.Arrows3D(
         origins=_flat([pose[:2] for _, _, pose in living]),
         vectors=_flat([(1.4 * np.cos(pose[2]), 1.4 * np.sin(pose[2])) for _, _, pose in living]),
@@ -88,9 +90,10 @@ def _log_areas(stream: "RecordingStream", picture: Picture) -> None:
     footprints: list[tuple[int, np.ndarray]] = []
     for index, known in enumerate(picture.agents.values()):
         estimate, pose = picture.said(known)[1], picture.pose(known.name)
-        if known.alive and estimate is not None and len(estimate.cell):
+        alive = picture.is_alive(known)
+        if alive and estimate is not None and len(estimate.cell):
             cells.append((index, estimate.cell))
-        if known.alive and known.sensor is not None and pose is not None:
+        if alive and known.sensor is not None and pose is not None:
             footprints.append((index, known.sensor.footprint(pose)))
     for name, outlines, radius in (("cells", cells, 0.08), ("footprints", footprints, 0.03)):
         rings, colours = [_ring(outline) for _, outline in outlines], [_bytes(index) for index, _ in outlines]
@@ -101,7 +104,7 @@ def _log_points(stream: "RecordingStream", picture: Picture) -> None:
     """Particles, detections, true targets and estimates."""
     import rerun
 
-    living = [(known, *picture.said(known)) for known in picture.agents.values() if known.alive]
+    living = [(known, *picture.said(known)) for known in picture.agents.values() if picture.is_alive(known)]
     detections = [place for known, gossip, _ in living if gossip is not None for place in known.places(gossip)]
     said = [estimate for _, _, estimate in living if estimate is not None]
     estimates, labels = [place for one in said for place in one.targets], [str(label) for one in said for label in one.labels.tolist()]

@@ -26,6 +26,7 @@ from deploy.recording.rerun_file import write_rerun
 from deploy.recording.tables import tables, write_tables
 from deploy.scenario import FaultSettings, resolve
 from deploy.scoring.scorer import Scorer
+from deploy.scoring.scores import hole_and_overlap
 from deploy.simulation import Simulation
 from protocol import codec
 from protocol.messages import Gossip, Hello, Message
@@ -221,6 +222,22 @@ def test_a_run_is_drawn_tick_by_tick_with_the_estimates_and_the_particles_of_the
     assert {len(way) for way in ways.bodies.values()} == {20}
     assert picture.agents["s1"].alive
     assert not picture.agents["s2"].alive
+
+
+@pytest.mark.parametrize("every", [1, 3])
+def test_the_cells_that_are_drawn_leave_the_hole_that_the_scorer_found_whoever_dies(tmp_path: Path, every: int) -> None:
+    given = resolve("quick", {"run.seconds": 5.0, "timing.estimate_every": every})
+    faults = tuple(FaultSettings(at=at, verb="kill", who=who) for at, who in ((2.0, "s2"), (3.25, "s3")))
+    simulation = Simulation(msgspec.structs.replace(given, faults=faults))
+    Observers(simulation.scorer, open_recorder(tmp_path / "a.mcap", simulation.scenario, virtual=True))
+    simulation.run()
+    drawn = []
+    for picture, _ in moments(Recording(tmp_path / "a.mcap")):
+        said = [picture.said(known)[1] for known in picture.agents.values() if picture.is_alive(known)]
+        drawn.append(hole_and_overlap([estimate.cell for estimate in said if estimate is not None], 625.0))
+    found = [(score.hole, score.overlap) for score in simulation.scorer.scores]
+    assert np.array(drawn) == pytest.approx(np.array(found), abs=1e-9)
+    assert {8, 13} <= {tick for tick, (hole, _) in enumerate(found) if hole > 0.01}
 
 
 @pytest.mark.slow

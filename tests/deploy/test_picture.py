@@ -85,6 +85,17 @@ def test_an_agent_that_is_lost_and_comes_back_stands_on_the_time_line_with_the_w
     assert picture.agents["s1"].state == "alive"
 
 
+@pytest.mark.parametrize(("told", "drawn"), [(9, [8, 9]), (10, [8, 9, 10])])
+def test_one_that_dies_is_drawn_as_alive_up_to_the_last_tick_of_which_it_has_told(told: int, drawn: list[int]) -> None:
+    estimate = Estimate(sender="s1", incarnation=1, tick=told, pose=(1.0, 2.0, 0.5), cod=(1.5, 2.5), power_radius=1.0, unused=3.0)
+    picture = shown(Alive("agent", "s1", 1), *map(truth, range(8, 11)), estimate, Gone("agent", "s1", 1), truth(11), truth(12))
+    seen = []
+    for tick in range(8, 13):
+        picture.show(tick)
+        seen += [tick] if picture.is_alive(picture.agents["s1"]) else []
+    assert seen == drawn
+
+
 @pytest.mark.parametrize("role", ["world", "body"])
 def test_agents_that_leave_after_the_last_tick_and_the_world_stay_as_they_were(role: str) -> None:
     last = scenario().run.ticks - 1
