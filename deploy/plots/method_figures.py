@@ -30,6 +30,7 @@ from protocol.messages import Gossip
 from protocol.observer_messages import Estimate
 from protocol.sensing import SENSOR_CLASSES, SensorModel, WedgeSensor
 from protocol.settings import BadSetting, sensor_of
+from protocol.whole_file import whole_file
 
 LATER = 8  # ticks after the death, in its last panel
 COLUMNS = 4  # of footprints
@@ -92,7 +93,8 @@ def write_figures(recording: Recording, folder: Path) -> list[Path]:
             figures["death"] = death_figure([moment, *after], name, scenario)
         files = [folder / f"{title}.png" for title in figures]
         for file, figure in zip(files, figures.values()):
-            figure.savefig(file, dpi=150)
+            with whole_file(file) as new:
+                figure.savefig(new, dpi=150)
     return files
 
 

@@ -24,6 +24,7 @@ from deploy.recording.moments import moments
 from deploy.recording.recording import Recording
 from protocol.observer_messages import Truth
 from protocol.settings import BadSetting
+from protocol.whole_file import whole_file
 
 STYLE: dict[Any, Any] = {
     "font.size": 8.0,
@@ -160,7 +161,8 @@ def write_figure(recording: Recording, folder: Path) -> list[Path]:
     files = [folder / "trajectories.pdf", folder / "trajectories.png"]
     with matplotlib.rc_context(STYLE):
         for file in files:
-            figure.savefig(file, dpi=300, metadata={"CreationDate": None} if file.suffix == ".pdf" else None)
+            with whole_file(file) as new:
+                figure.savefig(new, dpi=300, metadata={"CreationDate": None} if file.suffix == ".pdf" else None)
     return files
 
 
@@ -179,7 +181,7 @@ def write_animation(recording: Recording, folder: Path, progress: Callable[[int,
         figure = Figure(figsize=(4.0, 4.2), layout="constrained")
         axes = figure.subplots()
         writer = animation.FFMpegWriter(FRAMES_PER_SECOND) if with_film else SmallGif(FRAMES_PER_SECOND)
-        with writer.saving(figure, str(file), dpi=FILM_DPI):
+        with whole_file(file) as new, writer.saving(figure, str(new), dpi=FILM_DPI):
             for number, (picture, truth) in enumerate(moments(recording)):  # a recording may begin late
                 if number % every == 0:
                     axes.clear()

@@ -65,8 +65,9 @@ def draw(rows: Sequence[Row], into: Path) -> list[Path]:
 def _write(figure: Figure, stem: Path) -> list[Path]:
     """PDF and PNG without a date, so that the same data give the same files."""
     paths = [stem.with_name(f"{stem.name}.{kind}") for kind in ("pdf", "png")]
-    figure.savefig(paths[0], metadata={"CreationDate": None})
-    figure.savefig(paths[1], metadata={"Software": None})
+    for path, date in zip(paths, ("CreationDate", "Software")):
+        with whole_file(path) as new:
+            figure.savefig(new, metadata={date: None})
     plt.close(figure)
     return paths
 

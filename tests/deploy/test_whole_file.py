@@ -2,6 +2,7 @@
 
 import asyncio
 import errno
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 
@@ -47,6 +48,22 @@ def write_study_table(file: Path) -> None:
     assert file.read_text() == "team,ospa\n1,0.5\n"
 
 
+def draw(file: Path, recording: Recording) -> None:
+    pytest.importorskip("matplotlib")
+    from deploy.plots import method_figures, run_figures
+
+    draws = {"trajectories": run_figures.write_figure, "run": run_figures.write_animation, "cod": method_figures.write_figures}
+    draws[file.stem](recording, file.parent)
+
+
+def draw_study(file: Path) -> None:
+    pytest.importorskip("matplotlib")
+    from deploy.plots import study_figures
+
+    row: dict[str, object] = {"scenario": "efficacy", "team": "2", "triple": "ACD", "agents": 24, "start_targets": 30, "seed": 1}
+    study_figures.draw([{**row, "method": "power", "steady_ospa": 1.0, "control": "lloyd"}], file.parent)
+
+
 WRITERS: dict[str, Callable[[Path, Played], object]] = {
     "scores.csv": lambda file, run: write_scores(file, run[0].scorer.scores),
     "trace.csv": lambda file, run: run[1].write(file, run[0].result()),
@@ -55,6 +72,10 @@ WRITERS: dict[str, Callable[[Path, Played], object]] = {
     "targets.csv": lambda file, run: write_tables(run[2], file.parent, "csv"),
     "targets.parquet": lambda file, run: write_tables(run[2], file.parent, "parquet"),
     "ablation.csv": lambda file, run: write_study_table(file),
+    "figure4.pdf": lambda file, run: draw_study(file),
+    "trajectories.pdf": lambda file, run: draw(file, run[2]),
+    f"run.{'mp4' if shutil.which('ffmpeg') else 'gif'}": lambda file, run: draw(file, run[2]),
+    "cod.png": lambda file, run: draw(file, run[2]),
     "seqinfo.ini": lambda file, run: write_mot(run[2], file.parent),
     "run.toml": lambda file, run: RunDirectory("one").write_config(run[0].scenario),
     "agents.toml": lambda file, run: RunDirectory("one").write_config(run[0].scenario),
