@@ -61,8 +61,9 @@ def simulate_here(
     try:
         result, series = _play(simulation, scenario, clock)
         _keep(directory, result, simulation)
-    except BadSetting:
-        _keep(directory, msgspec.structs.replace(simulation.scored(), exit_code=BAD_INPUT), simulation)
+    except Exception as error:
+        code = BAD_INPUT if isinstance(error, BadSetting) else FAILED
+        _keep(directory, msgspec.structs.replace(simulation.scored(), exit_code=code), simulation)
         raise
     finally:
         os.close(lock)

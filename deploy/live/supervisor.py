@@ -113,16 +113,16 @@ class Supervisor:
         control = ControlServer(self.directory, self._answer)
         monitor = start = None
         try:
-            self.directory.write_config(self.scenario)
-            link_latest(self.directory)
             await driver.open()
-            monitor = asyncio.create_task(driver.serve())
             await control.open()
+            self.directory.write_config(self.scenario)  # after all that may be refused: with it the run has begun
+            link_latest(self.directory)
+            monitor = asyncio.create_task(driver.serve())
             start = asyncio.create_task(self._start.start_all(self._tell))
             return await self._watch(driver, monitor, start)
-        except BadSetting:
+        except Exception as error:
             if start is not None:  # what has begun has a result, of what was scored before
-                self._make_result(EXIT_BAD_INPUT)
+                self._make_result(EXIT_BAD_INPUT if isinstance(error, BadSetting) else EXIT_CRASHED, failed=True)
             raise
         finally:
             if start is not None:
@@ -200,9 +200,9 @@ class Supervisor:
             looks = looks + 1 if runs_on or scorer.truth is seen else 0
             seen = scorer.truth
 
-    def _make_result(self, code: int) -> None:
+    def _make_result(self, code: int, *, failed: bool = False) -> None:
         now = asyncio.get_running_loop().time()
-        self.scorer.finish(now, failed=code == EXIT_BAD_INPUT)
+        self.scorer.finish(now, failed=failed)
         try:
             write_scores(self.directory.scores, self.scorer.scores)  # first: the figures of tracks take a long time after a long run
         except OSError as error:

@@ -9,7 +9,9 @@ import numpy as np
 import pytest
 
 from agents.coverage.control import approach
+from deploy.scoring.scorer import Scorer
 from deploy.storage.kept_runs import kept_runs
+from protocol.observer_messages import Truth
 from protocol.sensing import Pose
 from tests.deploy.wrong_inputs import folder, typed
 
@@ -410,6 +412,17 @@ def test_a_simulation_that_a_law_has_ended_keeps_what_was_scored_and_is_listed_a
     [kept] = kept_runs()
     result = json.loads((folder / "runs" / "one" / "result.json").read_text())
     assert (kept.state, result["exit_code"]) == ("failed", 2) and 1 <= result["ticks"] <= 3
+
+
+def test_a_simulation_that_an_error_of_our_own_has_ended_is_listed_as_failed(
+    folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(scorer: Scorer, truth: Truth, now: float) -> None:
+        raise ZeroDivisionError("boom")
+
+    monkeypatch.setattr(Scorer, "_score", fail)
+    assert typed(["simulate", "quick", "--seconds", "1", "--run", "one"], capsys)[0] == 1
+    assert [kept.state for kept in kept_runs()] == ["failed"]
 
 
 @pytest.mark.parametrize("setting", ["sensors.X.model", "control.mode", "targets.motion"])

@@ -13,6 +13,7 @@ from deploy.live import supervisor as supervising
 from deploy.live.processes import Child
 from deploy.live.supervisor import Supervisor
 from deploy.scenario import FaultSettings, resolve
+from deploy.storage.kept_runs import kept_runs
 from deploy.storage.run_directory import RunDirectory
 from protocol.observer_messages import Truth
 from protocol.settings import BadSetting
@@ -137,6 +138,53 @@ def test_a_bridge_of_a_partition_is_one_that_is_not_paused(tmp_path: Path, monke
     supervisor.children["s1"].paused = True
     supervisor._act(Action("partition", ["s3"], None, {"kind": "bridge"}))
     assert supervisor._links.reception("s3").cut == ("s1",)
+
+
+class Unheard:
+    """A driver of a monitor that hears nothing; `failure` ends it."""
+
+    unread = 0
+    failure: Exception | None = None
+
+    def __init__(self, *_: object) -> None: ...
+
+    async def open(self) -> None: ...
+
+    async def serve(self) -> int:
+        if self.failure is not None:
+            raise self.failure
+        await asyncio.sleep(3600.0)
+        return 0
+
+    def stop(self, code: int, reason: str) -> None:
+        """Nothing."""
+
+
+def test_a_run_that_is_refused_before_a_process_has_started_has_never_begun(
+    supervisor: Supervisor, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def too_long(directory: RunDirectory) -> Path:
+        raise BadSetting("TMPDIR is too long")
+
+    monkeypatch.setattr(supervising, "Driver", Unheard)
+    monkeypatch.setattr(RunDirectory, "socket_path", too_long)
+    with pytest.raises(BadSetting, match="TMPDIR"):
+        asyncio.run(supervisor.run())
+    supervisor.directory.leave_unless_begun()
+    assert kept_runs() == [] and not supervisor.directory.path.exists()
+
+
+@pytest.mark.parametrize(("failure", "code"), [(BadSetting("a wrong sensor"), 2), (ZeroDivisionError("an error of our own"), 1)])
+def test_a_run_that_an_error_ends_is_listed_as_failed_whatever_the_error(
+    supervisor: Supervisor, monkeypatch: pytest.MonkeyPatch, failure: Exception, code: int
+) -> None:
+    monkeypatch.setattr(supervising, "Driver", Unheard)
+    monkeypatch.setattr(Unheard, "failure", failure)
+    monkeypatch.setattr(supervisor._start, "start_all", lambda tell: asyncio.sleep(3600.0))
+    with pytest.raises(type(failure)):
+        asyncio.run(supervisor.run())
+    [kept] = kept_runs()
+    assert (kept.state, json.loads(supervisor.directory.result.read_text())["exit_code"]) == ("failed", code)
 
 
 def fail(*_: object) -> None:
