@@ -71,6 +71,7 @@ class PageServer:
         self._version = -1
         self._shown_at = 0.0
         self._at_end: dict[str, Any] | None = None  # what frames say beside the picture once the run is over
+        self._failures: set[tuple[str, type]] = set()  # that have been logged
 
     def bind(self) -> str:
         """Take the port and return the page's address; raises BadSetting when it is taken."""
@@ -143,8 +144,8 @@ class PageServer:
             if self._clients:
                 try:
                     self._show()
-                except Exception:
-                    log.exception("a frame could not be drawn")
+                except Exception as error:
+                    self._log_once("a frame could not be drawn", error)
             due = max(due + self.source.period, loop.time() + 0.01)  # what one frame was late the next one is early
             await asyncio.sleep(due - loop.time())
 
@@ -237,8 +238,14 @@ class PageServer:
                 client.dropped = 0
         except Exception as error:
             if not isinstance(error, ConnectionError | TimeoutError):
-                log.exception("a browser could not be shown anything, and is let go; it asks again by itself")
+                self._log_once("a browser could not be shown anything, and is let go; it asks again by itself", error)
             await client.socket.close()
+
+    def _log_once(self, what: str, error: Exception) -> None:
+        """Log an error that is being handled, unless it has been logged: it comes again with every frame, or whenever a browser asks."""
+        if (what, type(error)) not in self._failures:
+            self._failures.add((what, type(error)))
+            log.exception(what)
 
     def _greeting(self) -> str:
         return greeting(self.source.picture, self.source.scores(), self.source.about(self._address.is_loopback)).decode()

@@ -274,6 +274,21 @@ def test_zero_is_a_free_port_and_not_a_no(words: list[str], page: bool | str) ->
     assert (address is None) == (page is False)
 
 
+def test_what_cannot_be_shown_is_logged_once_however_often_a_browser_asks(caplog: pytest.LogCaptureFixture) -> None:
+    class Broken(Played):
+        def about(self, may_act: bool) -> dict[str, Any]:
+            raise ZeroDivisionError("a greeting that always fails")
+
+    async def scene() -> None:
+        async with served(Broken()) as (_, url, session):
+            for _ in range(3):
+                async with session.ws_connect(f"{url}ws") as ws:
+                    assert (await ws.receive(timeout=20.0)).type == aiohttp.WSMsgType.CLOSE
+
+    asyncio.run(scene())
+    assert [record.message[:28] for record in caplog.records] == ["a browser could not be shown"]
+
+
 def test_links_can_be_cut_from_the_page_where_the_scenario_allows_link_faults() -> None:
     for allowed in (True, False):
         scenario = resolve("quick", {"network.link_faults": allowed})

@@ -20,6 +20,7 @@ const SWITCHES = [["c", "cells", "cells"], ["p", "density", "density"], ["f", "f
   ["t", "truth", "true targets"], ["e", "estimates", "estimates"], ["r", "trails", "trails"], ["n", "names", "names"], ["b", "belief", "the belief of the chosen agent"],
   ["s", "staleness", "staleness"], ["g", "gossip", "gossip on links"]];
 const RATE_WINDOW = 1500, BELIEF_PERIOD = 400, TABLE_PERIOD = 300; // ms
+const PAUSE = 700, MOST_PAUSE = 10000; // ms from a lost connection to the next try; it grows until a frame has come
 
 const state = {
   hello: null, frame: null, scene: new Scene(), history: fresh(), happenings: new Map(), outlines: {}, order: new Map(),
@@ -40,7 +41,7 @@ const charts = CHARTS.map((chart) => {
   canvas.addEventListener("blur", () => readAt(null));
   return [canvas, chart];
 });
-let socket = null, over = false, left = false, missed = null, seen = null; // missed: the newest frame, until it is shown; seen: the frame of the belief
+let socket = null, pause = PAUSE, over = false, left = false, missed = null, seen = null; // missed: the newest frame, until it is shown; seen: the frame of the belief
 
 // ---------------------------------------------------------------- what arrives
 function connect() {
@@ -51,7 +52,8 @@ function connect() {
     state.linked = false;
     link();
     schedule(true);
-    setTimeout(connect, over || left ? 3000 : 700);
+    setTimeout(connect, over || left ? 3000 : pause);
+    pause = Math.min(2 * pause, MOST_PAUSE);
   };
 }
 
@@ -108,6 +110,7 @@ function arrived(data) {
   const squares = frame.grid[0] * frame.grid[1];
   frame.bytes = new Uint8Array(data, 4 + length, squares);
   state.frames += 1;
+  pause = PAUSE;
   count(frame.messages);
   for (const one of frame.happenings) state.happenings.set(one[0], one);
   append(state.history, frame.score, state.rate, frame.beside && frame.beside.score ? frame.beside.score[1] : null);
