@@ -86,11 +86,11 @@ class Recording:
 
     @property
     def wall_seconds(self) -> float | None:
-        """How long the recording took, s of the wall clock; None of a simulation, whose publish times are the world's.
+        """How long the run took from its first Truth on, s of the wall clock; None of a simulation, whose publish times are the world's.
 
         Chunks that a recorder has replaced since they were found count for nothing.
         """
-        first = next(self.entries(), None)
+        first = next(filter(_is_truth, self.entries()), None)
         tails = (list(self.entries(number, number + 1)) for number in reversed(range(len(self.spans))))
         last = next((tail[-1] for tail in tails if tail), None)
         if first is None or last is None:
