@@ -63,7 +63,7 @@ class TickRateMeter:
         self._asked = asked_per_s(scenario)
         self._ticks: deque[tuple[float, int]] = deque()  # times and ticks of the last `WINDOW` s
         self._first: tuple[float, int] | None = None
-        self._counts: dict[str, tuple[int, _Counts]] = {}  # by name: the newest incarnation and what it has counted
+        self._counts: dict[str, dict[int, _Counts]] = {}  # by name and incarnation: of the newest two, of which the older one may live on
         self._ended: dict[str, _Counts] = {}  # by name: what all earlier incarnations had counted
         self._paces: dict[str, int] = {}
         self._excused: set[str] = set()  # agents that were paused on request
@@ -79,10 +79,10 @@ class TickRateMeter:
     def count(self, estimate: Estimate) -> None:
         """Take the counters and the pace of an agent."""
         name, counters = estimate.sender, estimate.counters
-        incarnation, counted = self._counts.get(name, (estimate.incarnation, _NOTHING))
-        if incarnation != estimate.incarnation:
-            self._ended[name] = _sum([self._ended.get(name, _NOTHING), counted])
-        self._counts[name] = estimate.incarnation, _Counts(*[counters.get(field, 0) for field in _Counts._fields])
+        counted = self._counts.setdefault(name, {})
+        counted[estimate.incarnation] = _Counts(*[counters.get(field, 0) for field in _Counts._fields])
+        if len(counted) > 2:
+            self._ended[name] = _sum([self._ended.get(name, _NOTHING), counted.pop(min(counted))])
         self._paces[name] = estimate.pace
         stalled = counters.get("stalled_ms", 0)
         if stalled and stalled != self._stalls.get(name, (0, 0.0))[0]:
@@ -103,7 +103,7 @@ class TickRateMeter:
 
     def _sum_of(self, names: Iterable[str]) -> _Counts:
         """What all incarnations of these agents have counted."""
-        return _sum([*(self._counts[name][1] for name in names), *(self._ended[name] for name in names if name in self._ended)])
+        return _sum([one for name in names for one in (*self._counts[name].values(), self._ended.get(name, _NOTHING))])
 
     def at(self, now: float) -> TickRate:
         """The rate of the last seconds at a time of the clock, s: where ticks fail to come, at most what one more tick would make it."""

@@ -76,6 +76,13 @@ def test_rounds_are_counted_over_all_incarnations() -> None:
     assert (found.rounds, found.skipped, found.late) == (32, 4, 3)
 
 
+def test_no_round_of_the_older_of_two_processes_of_a_name_counts_twice_when_it_is_heard_again() -> None:
+    meter = TickRateMeter(scenario())
+    for incarnation, rounds in ((1, 100), (2, 10), (1, 110)):
+        meter.count(told("s1", incarnation, {"rounds": rounds}))
+    assert meter.rounds == 120
+
+
 def test_a_machine_that_keeps_up_gets_no_advice_and_one_that_does_not_gets_a_rate_that_fits() -> None:
     calm = TickRateMeter(scenario(clock="realtime", rate=2.0))
     run_at(calm, 8.0, 10.0, skipped=4)
