@@ -96,6 +96,22 @@ def test_after_a_late_answer_the_next_request_has_its_own(directory: RunDirector
     assert asyncio.run(run()) == "status"
 
 
+def test_half_an_answer_of_a_supervisor_that_is_killed_is_the_end_of_the_run(directory: RunDirectory) -> None:
+    async def hang_up(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        await reader.readline()
+        writer.write(b'{"ok": "", "data": {')
+        writer.close()
+
+    async def run() -> None:
+        path = directory.socket_path()
+        async with await asyncio.start_unix_server(hang_up, str(path)):
+            directory.control.write_text(json.dumps({"socket": str(path)}))
+            with pytest.raises(BadSetting, match=r"^the run has ended$"):
+                await ControlClient(directory).answer("status")
+
+    asyncio.run(run())
+
+
 def test_a_supervisor_that_hangs_up_has_ended_its_run(directory: RunDirectory) -> None:
     async def answer(request: dict[str, object]) -> Answer:
         raise asyncio.CancelledError
