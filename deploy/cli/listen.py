@@ -143,8 +143,6 @@ def record(file: Path | None, run: str | None) -> int:
         code = _until_interrupted(work())
     finally:
         recorder.close()
-        if not recorder.messages:  # else it would be the newest recording of the run
-            path.unlink(missing_ok=True)
     size = f"{recorder.file_bytes / 1e6:.1f} MB" if recorder.messages else "so there is no recording"
     print(f"{recorder.messages} messages, {size}" + (f"; stopped: {recorder.stopped}" if recorder.stopped else ""))
     return code

@@ -137,11 +137,13 @@ class Recorder:
             self._guarded(self._extend)
 
     def close(self) -> None:
-        """Write the index and close the file."""
+        """Write the index and close the file; one without a message is removed: it would be in the way of the next."""
         if not self._closed:
             self._guarded(self._finish)
             self._closed = True
             self._file.close()
+        if not self.messages:
+            self.path.unlink(missing_ok=True)
 
     def _extend(self) -> None:
         self._file.extend(self._tail.take())

@@ -89,7 +89,7 @@ def test_detections_of_a_guest_are_places_though_its_sensor_measures_range_and_b
 
 
 def test_a_recording_without_anything_in_it_gives_empty_tables(tmp_path: Path) -> None:
-    Recorder(tmp_path / "a.mcap", resolve("quick")).close()
+    Recorder(tmp_path / "a.mcap", resolve("quick"))
     assert [table.num_rows for table in tables(Recording(tmp_path / "a.mcap")).values()] == [0] * 5
     with pytest.raises(BadSetting, match="nothing was recorded"):
         write_figure(Recording(tmp_path / "a.mcap"), tmp_path)

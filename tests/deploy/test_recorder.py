@@ -363,7 +363,7 @@ def test_a_recording_is_found_by_file_folder_and_run_name(tmp_path: Path, monkey
     file = tmp_path / "one" / "recording.mcap"
     with pytest.raises(BadSetting, match="no recording in it"):
         find_recording("one")
-    Recorder(file, scenario()).close()
+    Recorder(file, scenario())
     assert find_recording("one") == find_recording(str(tmp_path / "one")) == find_recording(str(file)) == file
 
 
@@ -382,11 +382,17 @@ def test_record_names_an_mcap_file_or_means_the_run_directory(tmp_path: Path) ->
 
 def test_a_recording_is_never_written_over_by_another(tmp_path: Path) -> None:
     file = tmp_path / "kept.mcap"
-    open_recorder(file, scenario()).close()
+    open_recorder(file, scenario())
     before = file.read_bytes()
     with pytest.raises(BadSetting, match=r"--record .*kept\.mcap: holds something already; should be a new file"):
         open_recorder(file, scenario())
     assert file.read_bytes() == before
+
+
+def test_a_recorder_that_has_heard_nothing_leaves_no_file_in_the_way_of_the_next_one(tmp_path: Path) -> None:
+    for _ in range(2):
+        open_recorder(tmp_path / "a.mcap", scenario()).close()
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_an_onlooker_that_fails_is_left_out_and_the_run_goes_on(tmp_path: Path) -> None:
