@@ -155,6 +155,8 @@ def replay(name: str, page: bool | str, speed: float, publish: bool) -> int:
 async def _play(source: ReplaySource, server: "PageServer | None", recording: Recording, publish: bool) -> None:
     over = stop_event()
     playing = None if server else asyncio.create_task(source.run_while_shown())
+    if playing:
+        playing.add_done_callback(lambda task: over.set())  # only an error ends it
     if server:
         await server.open()
     try:
@@ -167,6 +169,8 @@ async def _play(source: ReplaySource, server: "PageServer | None", recording: Re
             await server.close()
         if playing:
             playing.cancel()
+            with contextlib.suppress(asyncio.CancelledError):
+                await playing
 
 
 async def _say_again(source: ReplaySource, recording: Recording, over: asyncio.Event) -> None:

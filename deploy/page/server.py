@@ -133,6 +133,8 @@ class PageServer:
     async def _run_source(self) -> None:
         try:
             await self.source.run_while_shown()
+        except BadSetting as error:
+            log.error("%s; what is shown stays", error)
         except Exception:
             log.exception("the page's source has failed")
 

@@ -1,15 +1,19 @@
 """A recording on the page: what is played, jumped to and found out about the whole, against the run that was recorded."""
 
 import asyncio
+import re
 from collections import deque
 from pathlib import Path
 
 import msgspec
 import pytest
 
+from deploy.cli.recordings import _play
 from deploy.faults.faults import Action
+from deploy.page.address import Address
 from deploy.page.frames import moment
 from deploy.page.picture import KEPT_TICKS
+from deploy.page.server import PageServer
 from deploy.recording.observers import Observers, open_recorder
 from deploy.recording.recording import Recording
 from deploy.recording.replay import ReplayNode, ReplaySource
@@ -55,6 +59,30 @@ def test_the_end_stops_the_play_and_playing_again_begins_anew(run: tuple[Simulat
     assert (replay.playing, replay.clock) == (False, run[1].seconds)
     asyncio.run(replay.ask({"play": True}))
     assert (replay.playing, replay.clock) == (True, 0.0)
+
+
+@pytest.mark.parametrize("on_a_page", [True, False])
+def test_a_damaged_recording_is_named_in_one_line_on_a_page_and_without(
+    run: tuple[Simulation, Recording], tmp_path: Path, caplog: pytest.LogCaptureFixture, on_a_page: bool
+) -> None:
+    spoilt, offset = bytearray(run[1].path.read_bytes()), run[1].spans[1].offset
+    spoilt[offset + 200] ^= 0xFF
+    (tmp_path / "a.mcap").write_bytes(spoilt)
+    replay = ReplaySource(Recording(tmp_path / "a.mcap"), 100.0)
+    named = rf"a\.mcap: the chunk at byte {offset} is damaged"
+
+    async def play() -> None:
+        server = PageServer(replay, Address("127.0.0.1", 0, True)) if on_a_page else None
+        playing = asyncio.create_task(_play(replay, server, replay._recording, publish=False))
+        while not playing.done() and not caplog.records:
+            await asyncio.sleep(0.01)
+        playing.cancel()
+        await playing
+
+    with pytest.raises(asyncio.CancelledError if on_a_page else BadSetting, match=None if on_a_page else named):
+        asyncio.run(play())
+    assert [record.exc_info for record in caplog.records] == [None] * on_a_page
+    assert not on_a_page or re.search(named, caplog.text)
 
 
 @pytest.mark.parametrize("to", [15.0, 3.0, 10.0, 0.0, 19.75])
