@@ -74,8 +74,9 @@ def test_a_damaged_recording_is_named_in_one_line_on_a_page_and_without(
     async def play() -> None:
         server = PageServer(replay, Address("127.0.0.1", 0, True)) if on_a_page else None
         playing = asyncio.create_task(_play(replay, server, replay._recording, publish=False))
-        while not playing.done() and not caplog.records:
-            await asyncio.sleep(0.01)
+        async with asyncio.timeout(20.0):
+            while not playing.done() and not caplog.records:
+                await asyncio.sleep(0.01)
         playing.cancel()
         await playing
 
