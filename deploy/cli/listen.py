@@ -173,7 +173,7 @@ def watch_page(page: bool | str, run: str | None) -> int:
     print(f"run {scenario.run.name}; Ctrl-C ends the page, not the run", flush=True)
 
     async def work() -> int:
-        async with Observers(scorer, None, server):
+        async with Observers(scorer, None, server, lambda: directory is not None and not directory.control.exists()):
             return await _serve_while_running(live.Driver(scorer, scenario.network), _end_of(directory))
 
     return _until_interrupted(work())

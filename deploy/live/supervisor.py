@@ -128,11 +128,11 @@ class Supervisor:
             if start is not None:
                 start.cancel()
                 await asyncio.gather(start, return_exceptions=True)
+            await control.close()  # first: by this watchers know that agents which leave now are dismissed
             await self._wind_down()
             if self._zygote is not None:
                 loop.remove_reader(self._zygote.fileno())
                 self._zygote.close()
-            await control.close()
             driver.stop(0, "the run is over")
             if monitor is not None:
                 await asyncio.gather(monitor, return_exceptions=True)

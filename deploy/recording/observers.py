@@ -60,8 +60,12 @@ def open_recorder(path: Path, scenario: Scenario, *, virtual: bool = False) -> R
 class Observers:
     """The observers of one scorer, as a context in the event loop of the run. A failing observer is removed; the run continues."""
 
-    def __init__(self, scorer: Scorer, recorder: Recorder | None, page: "PageServer | None" = None) -> None:
+    def __init__(
+        self, scorer: Scorer, recorder: Recorder | None, page: "PageServer | None" = None, has_ended: Callable[[], bool] = lambda: False
+    ) -> None:
+        """`has_ended`: whether the run has been ended, as seen from outside; agents that leave from then on are dismissed."""
         self._scorer = scorer
+        self._has_ended = has_ended
         self._recorder = recorder
         self._page = page
         self._listeners: list[Callable[[Event, float], None]] = [recorder.see] if recorder else []
@@ -101,7 +105,7 @@ class Observers:
             self._page.source.picture.note("told", told.who, told.text, told.time)
 
     def _see(self, event: Event, now: float) -> None:
-        if isinstance(event, Gone) and event.role == "agent" and self._scorer.is_over:
+        if isinstance(event, Gone) and event.role == "agent" and (self._scorer.is_over or self._has_ended()):
             self._freeze()
         for listener in list(self._listeners):
             try:

@@ -4,7 +4,7 @@ import asyncio
 import socket
 import struct
 import time
-from collections.abc import AsyncIterator, Sequence
+from collections.abc import AsyncIterator, Callable, Sequence
 from contextlib import asynccontextmanager
 from pathlib import Path
 from typing import Any
@@ -298,11 +298,13 @@ def test_links_can_be_cut_from_the_page_where_the_scenario_allows_link_faults() 
         assert source.about(False)["verbs"] == []
 
 
-def watched(ticks: int, directory: RunDirectory | None = None) -> tuple[Simulation, PageServer]:
+def watched(
+    ticks: int, directory: RunDirectory | None = None, has_ended: Callable[[], bool] = lambda: False
+) -> tuple[Simulation, PageServer]:
     """A simulation of 12 ticks with a page beside it, played for some of them."""
     simulation = Simulation(resolve("quick", {"run.seconds": 3.0, "run.dt": 0.25, "team.composition": "3E"}))
     server = PageServer(LiveSource(simulation.scorer, Picture(simulation.scenario), directory), Address("127.0.0.1", 0, True))
-    Observers(simulation.scorer, None, server)
+    Observers(simulation.scorer, None, server, has_ended)
     while simulation.scorer.truth is None or simulation.scorer.truth.tick < ticks - 1:
         simulation.bus.step()
     simulation.bus.step(simulation.bus.now)
@@ -330,6 +332,13 @@ def test_who_leaves_after_the_run_has_been_scored_is_no_dead_on_the_page() -> No
     simulation, server = watched(6)
     simulation.scorer.finish(simulation.bus.now)
     leave(simulation, ("agent", "s1"), ("world", "world"))
+    assert states(server) == ["alive"] * 3
+    assert server.is_frozen
+
+
+def test_who_is_dismissed_because_the_run_is_ended_early_is_no_dead_on_a_page_outside() -> None:
+    simulation, server = watched(6, has_ended=lambda: True)
+    leave(simulation, ("world", "world"), ("agent", "s1"), ("agent", "s2"))
     assert states(server) == ["alive"] * 3
     assert server.is_frozen
 

@@ -146,18 +146,19 @@ class Unheard:
     unread = 0
     failure: Exception | None = None
 
-    def __init__(self, *_: object) -> None: ...
+    def __init__(self, *_: object) -> None:
+        self._over = asyncio.Event()
 
     async def open(self) -> None: ...
 
     async def serve(self) -> int:
         if self.failure is not None:
             raise self.failure
-        await asyncio.sleep(3600.0)
+        await self._over.wait()
         return 0
 
     def stop(self, code: int, reason: str) -> None:
-        """Nothing."""
+        self._over.set()
 
 
 def test_a_run_that_is_refused_before_a_process_has_started_has_never_begun(
@@ -172,6 +173,27 @@ def test_a_run_that_is_refused_before_a_process_has_started_has_never_begun(
         asyncio.run(supervisor.run())
     supervisor.directory.leave_unless_begun()
     assert kept_runs() == [] and not supervisor.directory.path.exists()
+
+
+def test_who_looks_on_can_tell_that_a_run_is_ended_before_its_processes_are(
+    supervisor: Supervisor, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    seen = []
+
+    async def end() -> None:
+        seen.append(supervisor.directory.control.exists())
+        supervisor._end(0)
+        await asyncio.sleep(3600.0)
+
+    async def wind_down() -> None:
+        seen.append(supervisor.directory.control.exists())
+
+    monkeypatch.setattr(supervising, "Driver", Unheard)
+    monkeypatch.setattr(supervising, "LAST_LOOKS", 0)
+    monkeypatch.setattr(supervisor._start, "start_all", lambda tell: end())
+    monkeypatch.setattr(supervisor, "_wind_down", wind_down)
+    assert asyncio.run(supervisor.run()) == 0
+    assert seen == [True, False]
 
 
 @pytest.mark.parametrize(("failure", "code"), [(BadSetting("a wrong sensor"), 2), (ZeroDivisionError("an error of our own"), 1)])
