@@ -17,7 +17,7 @@ from rich.table import Table
 
 from deploy.cli.listener import KeyedPayload, Listener, Rates, expression, kinds, swarm_to_watch
 from deploy.cli.message_text import block, plain_line
-from deploy.live.control import ControlClient
+from deploy.live.control import ask
 from deploy.page.address import address_of
 from deploy.page.picture import Picture
 from deploy.page.source import LiveSource
@@ -153,7 +153,7 @@ async def _note_faults(directory: RunDirectory, note: Callable[[Fault], None]) -
     known = 0
     while True:
         with contextlib.suppress(BadSetting):
-            faults = [Fault(*fault) for fault in (await ControlClient(directory).answer("faults"))["data"]]
+            faults = [Fault(*fault) for fault in (await ask(directory, "faults"))["data"]]
             for fault in faults[known:]:
                 note(fault)
             known = len(faults)

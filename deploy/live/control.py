@@ -8,10 +8,10 @@ A fault is its time in the world s, its verb, a text, the affected names and the
 """
 
 import asyncio
-import contextlib
 import json
 import logging
 import os
+import socket
 from collections.abc import Awaitable, Callable
 from pathlib import Path
 from typing import Any
@@ -22,7 +22,9 @@ from protocol.whole_file import write_whole
 
 Answer = dict[str, Any]
 MOST_LINE = 1 << 20
-CLIENT_SECONDS = 30.0  # that a client waits for an answer
+MOST_ANSWER = 1 << 22
+ANSWER_SECONDS = 20.0
+CLIENT_SECONDS = 30.0  # that a command waits for an answer
 
 log = logging.getLogger(__name__)
 
@@ -79,7 +81,10 @@ class ControlServer:
 
 
 class ControlClient:
-    """Speaks to the supervisor of a running run. Each request has its own connection: a late answer spoils no later one."""
+    """Speaks to the supervisor of a running run. Each request has its own connection: a late answer spoils no later one.
+
+    It blocks, in threads with an event loop of somebody else's too, such as one that drives a browser; `ask` can be cancelled.
+    """
 
     def __init__(self, directory: RunDirectory) -> None:
         try:
@@ -88,26 +93,45 @@ class ControlClient:
             raise BadSetting(f"--run {directory.name}: the run is starting or ending; try again in a second") from None
 
     def ask(self, verb: str, who: str = "", value: float | None = None, options: dict[str, Any] | None = None) -> Answer:
-        """What `answer` gives, outside of an event loop; blocks."""
-        return asyncio.run(self.answer(verb, who, value, options))
-
-    async def answer(self, verb: str, who: str = "", value: float | None = None, options: dict[str, Any] | None = None) -> Answer:
         """The answer to a request; raises BadSetting with the supervisor's complaint, or when it has gone."""
         request = {"verb": verb, "who": who, "value": value, "options": options or {}}
         try:
-            async with asyncio.timeout(CLIENT_SECONDS):
-                reader, writer = await asyncio.open_unix_connection(self._socket)
-                with contextlib.closing(writer):
-                    writer.write(json.dumps(request).encode() + b"\n")
-                    writer.write_eof()
-                    line = await reader.read()
+            with socket.socket(socket.AF_UNIX) as connection:
+                connection.settimeout(CLIENT_SECONDS)
+                connection.connect(self._socket)
+                connection.sendall(json.dumps(request).encode() + b"\n")
+                with connection.makefile("rb") as answers:
+                    line = answers.readline()
         except TimeoutError:
             raise BadSetting(f"the supervisor has not answered for {CLIENT_SECONDS:.0f} s; the run may still go on") from None
         except OSError:
             line = b""
         if not line.endswith(b"\n"):
             raise BadSetting("the run has ended")
-        answer: Answer = json.loads(line)
+        answer = json.loads(line)
         if "error" in answer:
             raise BadSetting(answer["error"])
         return answer
+
+
+async def ask(directory: RunDirectory, verb: str, who: str = "") -> Answer:
+    """The supervisor's answer to one request, in an event loop; raises BadSetting with its complaint, or without an answer."""
+    try:
+        where = json.loads(directory.control.read_text(encoding="utf-8"))["socket"]
+        async with asyncio.timeout(ANSWER_SECONDS):
+            answer = await _one_answer(where, json.dumps({"verb": verb, "who": who}).encode() + b"\n")
+    except (OSError, ValueError, KeyError, TimeoutError):
+        raise BadSetting("the supervisor does not answer: the run is starting or has ended") from None
+    if "error" in answer:
+        raise BadSetting(answer["error"])
+    return answer
+
+
+async def _one_answer(where: str, request: bytes) -> Answer:
+    reader, writer = await asyncio.open_unix_connection(where, limit=MOST_ANSWER)
+    try:
+        writer.write(request)
+        answer: Answer = json.loads(await reader.readline())
+        return answer
+    finally:
+        writer.close()

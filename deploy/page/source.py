@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from typing import Any, Protocol
 
 from deploy.faults.faults import LINK_VERBS
-from deploy.live.control import ControlClient
+from deploy.live.control import ask
 from deploy.page.picture import Picture
 from deploy.page.simulated_swarm import DONE_TO_BOTH, SimulatedSwarm, about_two
 from deploy.scoring.result import Fault
@@ -162,4 +162,4 @@ class LiveSource:
         """The supervisor's answer; raises BadSetting with its complaint."""
         if self._directory is None:
             raise BadSetting("this page only watches; use `covey kill` and the like, or the page of `covey up --page`")
-        return await ControlClient(self._directory).answer(verb, who)
+        return await ask(self._directory, verb, who)

@@ -181,11 +181,11 @@ def test_who_is_killed_in_the_live_swarm_dies_beside_it(tmp_path: Path, monkeypa
     source, _, other = live_beside_simulated(tmp_path)
     asked: list[tuple[str, str]] = []
 
-    async def supervisor(source: LiveSource, verb: str, who: str) -> dict[str, Any]:
+    async def supervisor(directory: RunDirectory, verb: str, who: str) -> dict[str, Any]:
         asked.append((verb, who))
         return {"ok": f"{verb} {who}"}
 
-    monkeypatch.setattr(LiveSource, "_control", supervisor)
+    monkeypatch.setattr("deploy.page.source.ask", supervisor)
     other.play(3)
     assert asyncio.run(source.ask({"verb": "kill", "who": "s2"})) == "kill s2"
     assert asyncio.run(source.ask({"verb": "pause", "who": "s3"})) == "pause s3"

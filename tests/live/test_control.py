@@ -3,6 +3,7 @@
 import asyncio
 import json
 import logging
+import threading
 from collections.abc import Awaitable, Callable
 from pathlib import Path
 
@@ -107,9 +108,34 @@ def test_half_an_answer_of_a_supervisor_that_is_killed_is_the_end_of_the_run(dir
         async with await asyncio.start_unix_server(hang_up, str(path)):
             directory.control.write_text(json.dumps({"socket": str(path)}))
             with pytest.raises(BadSetting, match=r"^the run has ended$"):
-                await ControlClient(directory).answer("status")
+                await asyncio.to_thread(ControlClient(directory).ask, "status")
 
     asyncio.run(run())
+
+
+def test_a_client_can_ask_where_somebody_elses_event_loop_runs(directory: RunDirectory) -> None:
+    async def answer(request: dict[str, object]) -> Answer:
+        return {"ok": str(request["verb"])}
+
+    async def serve(opened: threading.Event, over: threading.Event) -> None:
+        server = ControlServer(directory, answer)
+        await server.open()
+        opened.set()
+        await asyncio.to_thread(over.wait)
+        await server.close()
+
+    async def beside() -> None:
+        assert ControlClient(directory).ask("status") == {"ok": "status"}
+
+    opened, over = threading.Event(), threading.Event()
+    serving = threading.Thread(target=lambda: asyncio.run(serve(opened, over)))
+    serving.start()
+    try:
+        assert opened.wait(20.0)
+        asyncio.run(beside())
+    finally:
+        over.set()
+        serving.join()
 
 
 def test_a_supervisor_that_hangs_up_has_ended_its_run(directory: RunDirectory) -> None:
