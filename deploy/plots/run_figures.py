@@ -3,8 +3,11 @@
 Drawn from a recording with matplotlib, in a style for a column of a paper (PDF with real fonts, and PNG).
 """
 
+import logging
 import shutil
-from collections.abc import Callable
+import subprocess
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -181,7 +184,7 @@ def write_animation(recording: Recording, folder: Path, progress: Callable[[int,
         figure = Figure(figsize=(4.0, 4.2), layout="constrained")
         axes = figure.subplots()
         writer = animation.FFMpegWriter(FRAMES_PER_SECOND) if with_film else SmallGif(FRAMES_PER_SECOND)
-        with whole_file(file) as new, writer.saving(figure, str(new), dpi=FILM_DPI):
+        with _ffmpeg_in_one_line(file), whole_file(file) as new, writer.saving(figure, str(new), dpi=FILM_DPI):
             for number, (picture, truth) in enumerate(moments(recording)):  # a recording may begin late
                 if number % every == 0:
                     axes.clear()
@@ -190,6 +193,17 @@ def write_animation(recording: Recording, folder: Path, progress: Callable[[int,
                     writer.grab_frame()
                     progress(truth.tick + 1, ticks)
     return file
+
+
+@contextmanager
+def _ffmpeg_in_one_line(file: Path) -> Iterator[None]:
+    """Raise BadSetting with the last line of an ffmpeg that fails, as one without an encoder for H.264 or on a full disk."""
+    logging.getLogger("matplotlib.animation").setLevel(logging.ERROR)  # it would log all lines
+    try:
+        yield
+    except subprocess.CalledProcessError as error:
+        why = str(error.stderr).strip().splitlines() or [f"exit code {error.returncode}"]
+        raise BadSetting(f"{file}: ffmpeg cannot write it: {why[-1]}; without an ffmpeg in PATH it is a GIF") from None
 
 
 class SmallGif(animation.PillowWriter):

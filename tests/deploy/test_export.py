@@ -290,6 +290,19 @@ def test_a_moving_picture_of_a_recording_of_one_odd_tick_has_a_frame(tmp_path: P
         assert getattr(image, "n_frames", 1) == 1
 
 
+def test_an_ffmpeg_that_fails_is_one_line_and_leaves_no_film(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "ffmpeg").write_text("#!/bin/sh\necho tried >&2\necho no encoder for h264 >&2\nexit 1\n")
+    (tmp_path / "ffmpeg").chmod(0o755)
+    monkeypatch.setenv("PATH", str(tmp_path), prepend=":")
+    recorder = open_recorder(tmp_path / "a.mcap", resolve("quick", {}), virtual=True)
+    truth = Truth(sender="world", incarnation=1, tick=0, time=0.0)
+    recorder.see(received(truth, payloads=(codec.encode(truth),)), 0.0)
+    recorder.close()
+    with pytest.raises(BadSetting, match=r"run\.mp4: ffmpeg cannot write it: no encoder for h264; without an ffmpeg in PATH it is a GIF$"):
+        write_animation(Recording(tmp_path / "a.mcap"), tmp_path / "film")
+    assert list((tmp_path / "film").iterdir()) == []
+
+
 @pytest.mark.slow
 def test_a_moving_picture_of_a_run_that_was_ended_early_is_of_its_own_ticks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("shutil.which", lambda name: None)
