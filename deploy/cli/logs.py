@@ -52,7 +52,7 @@ def run_to_read(name: str | None) -> RunDirectory:
     if name is not None:
         directory = RunDirectory(name)
         if not directory.logs.is_dir():
-            known = ", ".join(run.name for run in runs_with_logs())
+            known = ", ".join(run.name for run in filter(_has_processes, runs_with_logs()))
             raise BadSetting(f"--run {name}: there is no such run in {runs_folder()}{f'; there are {known}' if known else ''}")
         if not _has_processes(directory):
             kind = "simulation" if directory.is_simulated() else "recording that is said again"

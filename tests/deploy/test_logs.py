@@ -91,6 +91,8 @@ def test_of_what_has_no_processes_it_is_said_so_and_the_newest_run_that_has_some
     for names in (), ("s1",):
         with pytest.raises(BadSetting, match=r"--run simulated: it is a simulation, which has no processes and no logs$"):
             logs(names, "simulated", follow=False, lines=None, raw=False)
+    with pytest.raises(BadSetting, match=r"--run q: there is no such run in .*; there are r$"):
+        logs((), "q", follow=False, lines=None, raw=False)
     with pytest.raises(BadSetting, match=r"--run replayed: it is a recording that is said again, which has no processes and no logs$"):
         logs((), "replayed", follow=False, lines=None, raw=False)
     assert logs((), None, follow=False, lines=1, raw=True) == 0
