@@ -1,5 +1,6 @@
 """`logs`: the log lines of the processes of a run, merged by time. The run may still run or have ended."""
 
+import contextlib
 import json
 import sys
 import time
@@ -70,8 +71,11 @@ def _has_processes(directory: RunDirectory) -> bool:
 
 def runs_with_logs() -> list[RunDirectory]:
     """All runs of this folder that have logs, running or not, the newest last."""
-    found = [path for path in runs_folder().glob("*/logs") if path.is_dir() and not path.parent.is_symlink()]
-    return [RunDirectory(path.parent.name) for path in sorted(found, key=lambda path: path.stat().st_mtime)]
+    found = []
+    for path in runs_folder().glob("*/logs"):
+        with contextlib.suppress(FileNotFoundError):  # it is being removed
+            found += [(path.stat().st_mtime, path.parent.name)] if path.is_dir() and not path.parent.is_symlink() else []
+    return [RunDirectory(name) for _, name in sorted(found)]
 
 
 class LogTails:

@@ -1,5 +1,6 @@
 """`ps`: the processes of a running swarm; with -a of all running swarms of this folder, and the runs that have ended."""
 
+import contextlib
 import json
 import os
 import re
@@ -37,7 +38,8 @@ def ps_all(run: str | None, as_json: bool) -> int:
     data, silent, gone = [], [], []
     for directory in runs_with_logs():
         if not directory.is_running():
-            gone.append(ended_run(directory))
+            with contextlib.suppress(FileNotFoundError):  # it is being removed
+                gone.append(ended_run(directory))
             continue
         try:
             data.append(ControlClient(find_running(directory.name, supervised=True)).ask("status")["data"])

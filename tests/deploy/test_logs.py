@@ -102,6 +102,18 @@ def test_of_what_has_no_processes_it_is_said_so_and_the_newest_run_that_has_some
         logs((), None, follow=False, lines=None, raw=False)
 
 
+def test_ps_a_leaves_out_a_run_that_is_removed_while_it_looks(
+    run: RunDirectory, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def remove(directory: RunDirectory) -> bool:
+        shutil.rmtree(directory.path)
+        return False
+
+    monkeypatch.setattr(RunDirectory, "is_running", remove)
+    assert ps_all(None, as_json=True) == 0
+    assert json.loads(capsys.readouterr().out) == {"running": [], "ended": []}
+
+
 def test_ps_a_shows_a_run_that_has_ended_and_who_died_in_it(run: RunDirectory, capsys: pytest.CaptureFixture[str]) -> None:
     run.config.write_text('[run]\nscenario = "quick"\n[members]\ns1 = "A"\ns2 = "A"\n')
     run.result.write_text("{}")
