@@ -85,6 +85,8 @@ def run_in_foreground(
 def beside_in_words(result: Result, other: SimulatedSwarm) -> str:
     """How well the swarm beside did in the same world."""
     other.play(result.ticks - 1)
+    if other.failure is not None:
+        return f"{other.name} in the same world: {other.failure}"
     theirs = other.simulation.result().mean_ospa
     return f"{other.name} in the same world: mean OSPA {theirs:.2f} m; this run: {result.mean_ospa:.2f} m"
 

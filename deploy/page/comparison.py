@@ -105,9 +105,12 @@ class ComparisonSource:
         self._clock = min(self._clock + min(seconds, FRAME_PERIOD) * self.speed, (self.tick + 1) * self._dt + ahead)
 
     def play(self, tick: int) -> None:
-        """Bring both sides to a tick at once, so that no frame is drawn while one of them is ahead."""
+        """Bring both sides to a tick at once, so that no frame is drawn while one is ahead; raises BadSetting when one has failed."""
         for side in self.sides:
             side.play(tick)
+            if side.failure is not None:
+                self.picture.note("told", "", f"{side.name}: {side.failure}")
+                raise side.failure
 
     def _tell(self, name: str, told: EventReport) -> None:
         self.picture.note("told", told.who, f"{name}: {told.text}", told.time)

@@ -24,6 +24,7 @@ class SimulatedSwarm:
 
     def __init__(self, name: str, scenario: Scenario) -> None:
         self.name = name
+        self.failure: BadSetting | None = None  # what has ended it
         self.simulation = Simulation(scenario)
         self.picture = Picture(self.simulation.scenario)
         self.simulation.scorer.on_event = self.picture.see
@@ -46,13 +47,12 @@ class SimulatedSwarm:
         return self.scores[-2] if len(self.scores) > 1 else None
 
     def play(self, tick: int) -> None:
-        """Go on until the world has come to a tick, or to its end. What is refused on the way is noted and left out."""
-        goes_on = True
-        while goes_on and self.tick < tick:
-            try:
-                goes_on = self.simulation.bus.step()
-            except BadSetting as refused:
-                self._note_refusal(refused)
+        """Go on until the world has come to a tick, or to its end. A class of the user's that fails is the end of it."""
+        try:
+            while self.failure is None and self.tick < tick and self.simulation.bus.step():
+                pass
+        except BadSetting as error:
+            self.failure = error
 
     def _note_refusal(self, refused: BadSetting) -> None:
         self.picture.note("told", "", f"{self.name}: {refused}")

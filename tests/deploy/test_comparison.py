@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from deploy.cli.compare import compare, difference
+from deploy.cli.foreground import beside_in_words
 from deploy.cli.options import RunOptions
 from deploy.cli.start import other_law
 from deploy.page.comparison import ComparisonSource
@@ -55,6 +56,26 @@ def test_what_could_not_be_played_in_time_is_not_made_up_for_when_the_speed_fall
     source.speed = 0.5
     source._pass(0.01)
     assert source._clock <= 1.0
+
+
+class FailsLater:
+    """A law that answers wrongly in tick 6."""
+
+    def command(self, situation: Any) -> Any:
+        return "left" if situation.tick == 6 else ((0.0, 0.0), 0.0)
+
+
+def test_a_law_that_fails_ends_the_comparison_with_its_line_and_the_demo_goes_on_without_the_swarm_beside() -> None:
+    one, other = side("power"), side("mine", **{"control.mode": f"{__name__}:FailsLater"})
+    source = ComparisonSource((one, other))
+    with pytest.raises(BadSetting, match=r"FailsLater\.command returned 'left'"):
+        source.play(30)
+    assert "mine: " in source.picture.happenings[-1].text and "FailsLater" in source.picture.happenings[-1].text
+    reached = other.tick
+    other.play(30)
+    assert other.tick == reached < 12
+    told = beside_in_words(one.simulation.result(), other)
+    assert told.startswith("mine in the same world: ") and "FailsLater.command returned 'left'" in told
 
 
 def test_a_paused_agent_is_paused_on_the_page_of_a_simulated_swarm() -> None:
