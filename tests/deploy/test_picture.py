@@ -94,6 +94,10 @@ def test_one_that_dies_is_drawn_as_alive_up_to_the_last_tick_of_which_it_has_tol
         picture.show(tick)
         seen += [tick] if picture.is_alive(picture.agents["s1"]) else []
     assert seen == drawn
+    picture.forget()  # a replay jumps to where it was dead before
+    picture.see(received(truth(6)), 0.0)
+    picture.show(6)
+    assert not picture.is_alive(picture.agents["s1"])
 
 
 @pytest.mark.parametrize("role", ["world", "body"])
