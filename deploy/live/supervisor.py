@@ -1,4 +1,4 @@
-"""The supervisor: starts the world and the agents, kills, pauses and restarts them, notices deaths, and leaves no orphan.
+"""The supervisor: starts the world and the agents, notices deaths, makes the result, and leaves no orphan.
 
 It is no part of the swarm: agents find each other by themselves and go on without it in every respect but one, they end with it.
 Everything runs in one event loop in the main thread (children must be started from there).
@@ -13,24 +13,21 @@ from collections.abc import Callable
 from typing import Any, Literal
 
 import msgspec
-import numpy as np
 
-from deploy.faults.faults import LINK_VERBS, REFUSED, Action, Schedule, check_fault, check_faults, choose, plain_verb
-from deploy.faults.links import Links
+from deploy.faults.faults import check_faults
 from deploy.live.control import Answer, ControlServer
-from deploy.live.processes import Child, State, packages, process_rows
+from deploy.live.operations import Operations
+from deploy.live.processes import Child, packages, process_rows
 from deploy.live.seeds import endpoints, seed_listeners
 from deploy.live.startup import Startup
 from deploy.live.zygote import Zygote
-from deploy.scenario import FaultSettings, Scenario, bodies_of, check_certificates, check_names, world_names
+from deploy.scenario import Scenario, bodies_of, check_certificates, check_names, world_names
 from deploy.scoring.result import Result
 from deploy.scoring.scorer import Scorer, Status
 from deploy.scoring.scores import write_scores
 from deploy.storage.kept_runs import link_latest
 from deploy.storage.run_directory import RunDirectory
-from protocol.codec import encode
 from protocol.endpoints import check_endpoints
-from protocol.link_faults import as_line
 from protocol.live import Driver
 from protocol.observer_messages import Truth
 from protocol.settings import BadSetting, NetworkSettings
@@ -41,7 +38,6 @@ WORLD_SECONDS = 60.0  # that a run which nobody attends stands still without a w
 LAST_LOOKS = 100  # every 10 ms, for the last ticks of a run
 EXIT_CRASHED, EXIT_BAD_INPUT = 1, 2  # of a run in which a process ended by an exception; of one that refused its input
 LAST_BODY_SECONDS = 10.0  # and run.patience, and a tick: between the first and the last body that ends with the run, at most
-STATES: dict[str, State] = {"kill": "running", "pause": "awake", "resume": "paused", "restart": "dead"}  # of a process that a verb is for
 
 log = logging.getLogger(__name__)
 
@@ -91,13 +87,11 @@ class Supervisor:
         for name, body in bodies_of(scenario).items():
             self.children[body].body_of = name
         self._start = Startup(list(scenario.members), list(self.children.values()), self.scorer, zygote, directory.log("zygote"))
-        self._schedule = Schedule(scenario.run.seed, scenario.faults)
-        self._links = Links(scenario.run.seed, list(scenario.members))
+        self.operations = Operations(self.scenario, self.children, self.scorer, directory, self._start, self._tell, self._on_death)
         self._on_event, self._on_status = on_event, on_status
         self._over: asyncio.Future[int] | None = None
         self._started_at = time.monotonic()
         self._first_truth_at: float | None = None
-        self._rng = np.random.default_rng()  # of commands by hand only; those of the scenario are drawn from its seed
 
     async def run(self) -> int:
         """Run to the end; the exit code. Raises BadSetting when a process refuses its input."""
@@ -143,7 +137,7 @@ class Supervisor:
         while not self._over.done():
             await asyncio.wait([self._over], timeout=0.5)
             self._reap()  # in case a signal was merged with another
-            self._notice_pauses()
+            self.operations.notice_pauses()
             for child in self.children.values():
                 child.write_what_waits()
             self._end_standstill()
@@ -165,17 +159,11 @@ class Supervisor:
         self._make_result(code)
         return code
 
-    def _notice_pauses(self) -> None:
-        """A process that was stopped by a signal from outside is paused as well."""
-        for child in self.children.values():
-            if verb := child.look():
-                self._note_pauses(verb, [child.name])
-                helps = f"has been stopped from outside; `covey resume {child.name}` lets it go on"
-                self._tell(f"{child.name} {helps if verb == 'pause' else 'goes on, told from outside'}")
-
     def _end_standstill(self) -> None:
         """End a run whose last bodies do not come to its end, or one whose world is dead and that nobody attends or has repaired."""
         now = time.monotonic()
+        if any(child.is_running for child in self.children.values() if child.package == "world"):
+            self._still_since = None
         if self._pending and now > self._last_bodies_by:
             late = [child.name for child in self.children.values() if child.body_of and child.is_running]
             self._tell(f"the run is over and ends without {', '.join(late)}, not at the last tick yet")
@@ -279,7 +267,7 @@ class Supervisor:
             why = self._start.waiting() if child.name == "world" else f"{child.name} died: {child.end()}"
             self._fail(BadSetting(f"{why}; --strict refuses to start with fewer than {len(self.scenario.members)} agents"))
         self._start.expect()
-        self._note_pauses("kill", [child.name])
+        self.operations.note_pauses("kill", [child.name])
         words = f"{child.name} died: {child.end()}"
         if child.crashed or child.returncode == EXIT_BAD_INPUT:
             self.crashed.append(child.name)
@@ -314,15 +302,7 @@ class Supervisor:
             if complaint := self._start.check(truth):
                 log.warning(complaint)
                 self._tell(complaint)
-        for action in self._schedule.due(truth.time, self._agents("running"), self._agents("dead"), list(self.children)):
-            try:
-                if action.verb == REFUSED:
-                    raise BadSetting(action.options["why"])
-                if action.verb in STATES:  # whoever has died meanwhile, or has been resumed by hand, is passed over, as in a simulation
-                    action = action._replace(names=[name for name in action.names if self.children[name].is_in(STATES[action.verb])])
-                self._act(action)
-            except BadSetting as error:
-                self._tell(f"a fault of the scenario could not be carried out: {error}")
+        self.operations.carry_out_due(truth.time)
 
     def _on_twin(self, name: str, known: int, other: int) -> None:
         """Warn about two processes of one name, unless the younger one was just started here in place of a killed one."""
@@ -341,101 +321,15 @@ class Supervisor:
 
     async def _answer(self, request: dict[str, Any]) -> Answer:
         """Carry out a request of the control socket."""
-        verb, who = str(request.get("verb", "")), str(request.get("who", ""))
-        if verb == "status":
-            return {"ok": "", "data": self.status()}
-        if verb == "faults":
-            return {"ok": "", "data": self.scorer.faults}
-        if verb == "down":
-            self._end(0)
-            return {"ok": "going down"}
-        fault = FaultSettings(at=0.0, verb=verb, who=who, value=request.get("value"), options=request.get("options") or {})
-        members, link_faults = [*self.scenario.members], self.scenario.network.link_faults
-        check_fault(fault, "", members, [*members, *world_names(self.scenario)], live=True, link_faults=link_faults)
-        self._notice_pauses()
-        candidates = self._agents(STATES.get(verb, "running"))
-        names = choose(who, candidates, list(self.children), self._rng) if who else candidates
-        return {"ok": self._act(Action(plain_verb(verb), names, fault.value, fault.options))}
-
-    def _act(self, action: Action) -> str:
-        """Carry out an action; a line that says what was done."""
-        verb, names = action.verb, action.names
-        if verb in LINK_VERBS:
-            return self._change_links(action)
-        for name in names:  # before anything is done; a restart may still fail at one of several
-            if not self.children[name].has_started:
-                raise BadSetting(f"{name} has not been started yet: the run still starts; try again in a second")
-            if verb != "restart" and not self.children[name].is_running:
-                raise BadSetting(f"{name} is not running; `covey restart {name}` brings it back")
-            if verb in ("pause", "resume") and not self.children[name].is_in(STATES[verb]):
-                raise BadSetting(f"{name} is {'not paused' if verb == 'resume' else 'paused already'}")
-        self._note_pauses(verb, [name for name in names if self.children[name].is_running])
-        for name in names:
-            child = self.children[name]
-            if verb == "restart":
-                self._restart(child)
-            else:
-                child.send({"kill": signal.SIGKILL, "pause": signal.SIGSTOP, "resume": signal.SIGCONT}[verb])
-        past = {"kill": "killed", "pause": "paused", "resume": "resumed", "restart": "restarted"}[verb]
-        text = f"{past} {', '.join(names)}" if names else f"nobody to {verb}"
-        log.info(text)
-        self._tell(text)
-        return text
-
-    def _note_pauses(self, verb: str, names: list[str]) -> None:
-        """Tell the scorer which agents are paused on request: a paused agent whose token is lost has not died."""
-        if verb in ("pause", "resume") or self.scorer.deaths.paused.intersection(names):
-            self.scorer.note_fault(verb, f"{verb} {', '.join(names)}", ",".join(names), asyncio.get_running_loop().time())
-
-    def _change_links(self, action: Action) -> str:
-        """Change the links between agents: every agent receives its new reception."""
-        self._links.act(action, self._agents("awake"))
-        for name in self.scenario.members:
-            self._tell_links(name)
-        text = self._links.describe(action)
-        self.scorer.note_fault(action.verb, text, sides=self._links.sides(self._agents("running")))
-        log.info(text)
-        self._tell(text)
-        return text
-
-    def _tell_links(self, name: str) -> None:
-        if self.scenario.network.link_faults and name in self.scenario.members:
-            self.children[name].tell(as_line(self._links.reception(name)))
-
-    def _restart(self, child: Child) -> None:
-        """Bring a process back under its name, with the next incarnation; a restarted world goes on from the last truth.
-
-        Raises BadSetting when the machine does not let it: a disk is full, or there are too many processes.
-        """
-        was_running = child.is_running
-        try:
-            self._replace(child)
-        except OSError as error:
-            if was_running and not child.is_running:
-                self._on_death(child)
-            raise BadSetting(f"{child.name} could not be restarted: {error.strerror or error}") from None
-        if child.package == "world":
-            self._still_since = None
-
-    def _replace(self, child: Child) -> None:
-        """End a process if it runs, and start its next incarnation; raises OSError."""
-        truth = self.scorer.truth if child.package == "world" else None
-        if truth is not None:
-            write_whole(self.directory.truth, encode(truth))
-        if child.process is not None:
-            child.process.kill()
-            child.process.wait()
-            child.poll()
-        if truth is not None:
-            child.start("--restore", str(self.directory.truth))
-        else:
-            child.start()
-            self._start.expect()
-            self._tell_links(child.name)
-
-    def _agents(self, state: State) -> list[str]:
-        """Names of the agents in a state."""
-        return [name for name in self.scenario.members if self.children[name].is_in(state)]
+        match request.get("verb", ""):
+            case "status":
+                return {"ok": "", "data": self.status()}
+            case "faults":
+                return {"ok": "", "data": self.scorer.faults}
+            case "down":
+                self._end(0)
+                return {"ok": "going down"}
+        return {"ok": self.operations.carry_out(request)}
 
     def status(self) -> dict[str, Any]:
         """The data of `ps` and `watch`: the scores of the swarm, and every process."""

@@ -136,8 +136,8 @@ def test_a_bridge_of_a_partition_is_one_that_is_not_paused(tmp_path: Path, monke
     supervisor = made(tmp_path, monkeypatch, team="E3", **{"network.link_faults": True})
     assert let_run(supervisor, {}) is None
     supervisor.children["s1"].paused = True
-    supervisor._act(Action("partition", ["s3"], None, {"kind": "bridge"}))
-    assert supervisor._links.reception("s3").cut == ("s1",)
+    supervisor.operations.act(Action("partition", ["s3"], None, {"kind": "bridge"}))
+    assert supervisor.operations._links.reception("s3").cut == ("s1",)
 
 
 class Unheard:
@@ -246,7 +246,7 @@ def test_an_order_of_which_a_part_is_impossible_does_nothing(supervisor: Supervi
 
 
 def test_the_end_of_a_fault_passes_over_those_who_have_died_meanwhile(supervisor: Supervisor) -> None:
-    supervisor._schedule = Schedule(1, (FaultSettings(at=1.0, verb="pause", who="s1,s2", seconds=2.0),))
+    supervisor.operations._schedule = Schedule(1, (FaultSettings(at=1.0, verb="pause", who="s1,s2", seconds=2.0),))
 
     async def run() -> list[list[str]]:
         for child in supervisor.children.values():
@@ -265,7 +265,7 @@ def test_the_end_of_a_fault_passes_over_those_who_have_died_meanwhile(supervisor
 def test_a_fault_that_too_few_are_left_for_is_told_once_and_the_run_goes_on(
     supervisor: Supervisor, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    supervisor._schedule = Schedule(1, (FaultSettings(at=1.0, verb="kill", who="2"),))
+    supervisor.operations._schedule = Schedule(1, (FaultSettings(at=1.0, verb="kill", who="2"),))
     assert let_run(supervisor, {"s2": KILLED}) is None
 
     async def run() -> None:
