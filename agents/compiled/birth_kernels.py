@@ -51,6 +51,13 @@ def background(
     return states, ids
 
 
+@njit
+def close_by(x: float, y: float, settings: np.ndarray) -> tuple[float, float]:
+    """Twin of `births.close_by` for one place."""
+    width, height = settings[run_columns.WIDTH], settings[run_columns.HEIGHT]
+    return min(max(x, -width), 2.0 * width), min(max(y, -height), 2.0 * height)
+
+
 @cached
 def nearby(x: np.ndarray, y: np.ndarray, weights: np.ndarray, detections: np.ndarray, radius: float) -> np.ndarray:
     """The masses (M,) within `radius` m of the detections (M, 2) of all scans, for `birth_densities`."""
@@ -117,7 +124,7 @@ def add_births(
             else:
                 x, y = points[m, 0] + first * deviation, points[m, 1] + second * deviation
             direction = np.int64(scramble(new_id, np.uint64(3)) >> _S52)
-            states[count, 0], states[count, 1] = x, y
+            states[count, 0], states[count, 1] = close_by(x, y, settings)
             states[count, 2], states[count, 3] = directions[direction, 0] * speed, directions[direction, 1] * speed
             ids[count], weights[count], labels[count] = new_id, born[m] / np.float64(each), given[m]
             count += 1

@@ -12,7 +12,7 @@ import numpy as np
 from numba import njit
 
 from agents.compiled import run_columns
-from agents.compiled.birth_kernels import add_births, birth_densities, nearby
+from agents.compiled.birth_kernels import add_births, birth_densities, close_by, nearby
 from agents.compiled.cache import cached
 from agents.compiled.cell_kernels import around, distance
 from agents.compiled.extraction_kernels import block
@@ -40,16 +40,19 @@ from agents.tracking.measurement_likelihood import BEARING, LARGEST_DEVIATION, N
 
 @njit
 def _raster(
-    x: np.ndarray, y: np.ndarray, detections: np.ndarray, spreads: np.ndarray, table: np.ndarray, sensors: np.ndarray, side: float
+    x: np.ndarray, y: np.ndarray, detections: np.ndarray, spreads: np.ndarray, table: np.ndarray, sensors: np.ndarray, settings: np.ndarray
 ) -> tuple:
-    """The grid of bins of `side` m for `_missed`: its first column, its first row, masses, explained masses, their rests and shares.
+    """The grid of bins for `_missed`: its first column, its first row, masses, explained masses, their rests and shares.
 
-    It covers the particles that a scan, a row of `table` in `sensors`, can see, the detections, and births within `spreads` (M,) m of them.
+    It covers the particles that a scan, a row of `table` in `sensors`, can see, the detections, and births within `spreads` (M,) m of them,
+    which are all `close_by`.
     """
+    side = settings[run_columns.MISS_BIN]
     west, south, east, north = _box_in_reach(x, y, table, sensors, side)
     for m in range(len(detections)):
         px, py, spread = detections[m, 0], detections[m, 1], spreads[m]
-        west, south, east, north = min(west, px - spread), min(south, py - spread), max(east, px + spread), max(north, py + spread)
+        least, most = close_by(px - spread, py - spread, settings), close_by(px + spread, py + spread, settings)
+        west, south, east, north = min(west, px, least[0]), min(south, py, least[1]), max(east, px, most[0]), max(north, py, most[1])
     if west > east or south > north:
         return 0, 0, np.zeros((1, 1)), np.zeros((1, 1)), np.zeros((1, 1)), np.zeros((1, 1))
     left, low = np.int64(math.floor(west / side)) - 2, np.int64(math.floor(south / side)) - 2
@@ -371,7 +374,7 @@ def correct(
     if on:
         densities = nearby(x[:count], y[:count], weights, detections, settings[run_columns.BIRTH_RADIUS])
     found, gained, in_view = _pair_buffers(2 * count + 256), np.empty(capacity), np.empty(capacity + 1, np.int64)
-    raster = _raster(x[:count], y[:count], detections, spreads, table, sensors, side)
+    raster = _raster(x[:count], y[:count], detections, spreads, table, sensors, settings)
     at_columns, at_rows = np.empty(capacity, np.int64), np.empty(capacity, np.int64)
     for n in range(count):
         at_columns[n], at_rows[n] = _bin(x[n], y[n], side, raster[0], raster[1])

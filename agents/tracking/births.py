@@ -176,8 +176,14 @@ def measurement_births(scan: Scan, per_particle: np.ndarray, labels: np.ndarray,
     else:
         x, y = places[:, 0] + normal(scramble(ids, 1)) * noise, places[:, 1] + normal(scramble(ids, 2)) * noise
         places = np.column_stack([x, y])
-    velocities = _directions(scramble(ids, 3)) * settings.speed
+    places, velocities = close_by(places, step.config.arena), _directions(scramble(ids, 3)) * settings.speed
     return Particles(np.column_stack([places, velocities]), np.repeat(per_particle, count), ids, np.repeat(labels, count))
+
+
+def close_by(places: np.ndarray, arena: ArenaSettings) -> np.ndarray:
+    """The places (N, 2), each axis no farther outside of the arena than it is long: a false measurement may bear particles anywhere."""
+    size = np.array([arena.width, arena.height])
+    return np.clip(places, -size, 2.0 * size)
 
 
 def founded_labels(scan: Scan, step: Step) -> np.ndarray:
