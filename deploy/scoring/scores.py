@@ -142,9 +142,13 @@ def why(scores: Sequence[Score], scenario: Scenario) -> dict[str, float | bool]:
 
 
 def ground(cell: np.ndarray) -> shapely.Geometry:
-    """The ground that a published cell (V, 2) m covers. Anybody may state one that crosses itself or has no area."""
+    """The ground that a published cell (V, 2) m covers.
+
+    Anybody may state one that crosses itself or has no area, which counts as its convex hull: cells are convex. Thousands of corners may
+    cross each other millions of times, so the crossings are not computed.
+    """
     polygon = shapely.Polygon(cell if len(cell) >= 3 else None)
-    return polygon if polygon.is_valid else polygon.buffer(0.0)
+    return polygon if polygon.is_valid else polygon.convex_hull
 
 
 def hole_and_overlap(cells: list[np.ndarray], area: float, *, one_view: bool = False) -> tuple[float, float]:

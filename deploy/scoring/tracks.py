@@ -6,6 +6,7 @@ estimates without a label, are named by their place among those of the tick: der
 """
 
 import math
+from collections import Counter
 from collections.abc import Sequence
 
 import numpy as np
@@ -56,16 +57,15 @@ class UniqueLabels:
             last = self._last.get(labels[number])
             return -existence[number] if last is None else math.dist(positions[number], last)
 
-        given, taken, kept = list(labels), {NO_LABEL, *labels}, dict[int, int]()
+        given, taken, kept, counts = list(labels), {NO_LABEL, *labels}, dict[int, int](), Counter[int]()
         for number, label in enumerate(labels):
             if label != NO_LABEL and (label not in kept or rank(number) < rank(kept[label])):
                 kept[label] = number
         for number, label in enumerate(labels):
             if kept.get(label) != number:
-                count = 1
-                while derived_label(label, count) in taken:
-                    count += 1
-                given[number] = derived_label(label, count)
+                while given[number] in taken:
+                    counts[label] += 1  # none is tried twice: anybody may state thousands of estimates with one label
+                    given[number] = derived_label(label, counts[label])
                 taken.add(given[number])
         self._last.update({label: positions[number] for label, number in kept.items()})
         return np.array(given, dtype=np.uint64)

@@ -250,6 +250,14 @@ def test_a_label_counts_once_in_a_tick_for_the_estimate_nearest_to_where_it_was_
     assert names.of([5, 5], [0.9, 0.5], np.array([(4.0, 0.0), (15.0, 0.0)])).tolist() == [5, other]
 
 
+def test_thousands_of_estimates_with_one_label_take_one_try_each(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Anybody may state them, and the scores of a tick must not take minutes."""
+    tried: list[int] = []
+    monkeypatch.setattr("deploy.scoring.tracks.derived_label", lambda label, number: tried.append(number) or derived_label(label, number))
+    given = UniqueLabels().of([5 << 29] * 500 + [0] * 500, [0.5] * 1000, np.zeros((1000, 2)))
+    assert len(set(given.tolist())) == 1000 and len(tried) == 999
+
+
 def test_a_table_of_labels_costs_eight_bytes_a_label_and_one_or_two_a_particle() -> None:
     for labels, size in ((256, 1), (257, 2)):
         held = np.repeat(np.arange(labels, dtype=np.uint64) * 3, 2)[::-1]
