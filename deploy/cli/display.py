@@ -206,10 +206,10 @@ def show_result(result: "Result", path: Path | None, as_json: bool) -> int:
     table = result_table(result, f"{result.scenario}, seed {result.seed}: {result.agents} agents{where}")
     try:
         if not as_json:
-            Output(highlight=False).print(table)
+            Output(highlight=False, markup=False).print(table)
             return OK
         with contextlib.suppress(OSError):  # the line that follows holds the same
-            Output(stderr=True, highlight=False).print(table)
+            Output(stderr=True, highlight=False, markup=False).print(table)
         print(result.to_json(), flush=True)
     except OSError as error:
         lead_nowhere()

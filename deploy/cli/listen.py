@@ -12,11 +12,11 @@ from collections.abc import Callable, Coroutine
 from pathlib import Path
 from typing import Any
 
-from rich.console import Console
 from rich.table import Table
 
 from deploy.cli.listener import KeyedPayload, Listener, Rates, expression, kinds, swarm_to_watch
 from deploy.cli.message_text import block, plain_line
+from deploy.cli.terminal import table_console
 from deploy.live.control import ask
 from deploy.page.address import address_of
 from deploy.page.picture import Picture
@@ -78,7 +78,7 @@ def hz(key: str, seconds: float | None, run: str | None) -> int:
     """Print the message rates and sizes under a key every two seconds."""
     check_seconds(seconds)
     _, scenario = swarm_to_watch(run)
-    rates, console = Rates(), Console(highlight=False)
+    rates, console = Rates(), table_console()
     shown_at = time.monotonic()
 
     def on_heard(heard: KeyedPayload, now: float) -> bool:
@@ -99,7 +99,7 @@ def ls(seconds: float, run: str | None) -> int:
     """Print the live processes and all keys with messages, after listening for some seconds."""
     check_seconds(seconds)
     _, scenario = swarm_to_watch(run)
-    rates, console = Rates(), Console(highlight=False)
+    rates, console = Rates(), table_console()
     own = own_name("ls")
     node = Listener(scenario.run.name, own, expression("**", scenario.run.name), rates.note, seconds)
     code = live.run(node, scenario.network)

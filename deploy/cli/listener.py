@@ -148,9 +148,9 @@ class Listener(Node):
 
 
 def kinds(keys: list[str]) -> str:
-    """Keys of one run in few words: `truth, gossip/** (16 keys)`."""
-    counts = Counter(key.split("/")[2] for key in keys)
-    alone = {key.split("/", 2)[2] for key in keys}
+    """Keys of one run in few words: `truth, gossip/** (16 keys)`; one that names the run alone is none of its kinds."""
+    rests = [key.split("/", 2)[2] for key in keys if key.count("/") > 1]
+    counts, alone = Counter(rest.partition("/")[0] for rest in rests), {*rests}
     return ", ".join(kind if kind in alone else f"{kind}/** ({number} key{'s' * (number != 1)})" for kind, number in sorted(counts.items()))
 
 

@@ -36,7 +36,7 @@ ON_EARTH = ("geojson", "cot")  # forms of an export that lie on Earth
 def score(name: str, csv: Path | None, as_json: bool) -> int:
     """Score a recording, and compare with the result of the run itself where that exists."""
     recording = _recording_beside(name, "--csv", csv)
-    console = Console(stderr=as_json, highlight=False)
+    console = Console(stderr=as_json, highlight=False, markup=False)
     scorer = rescore(recording)
     result = scorer.result(recording.wall_seconds)
     if csv is not None:  # first, as the reader of the table may go

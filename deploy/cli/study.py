@@ -33,8 +33,8 @@ class StudyConsole(Console):
 
 def console_of(as_json: bool) -> Console:
     """The console for people: standard output, or standard error when standard output carries JSON."""
-    console = StudyConsole(stderr=as_json, highlight=False)
-    return console if console.is_terminal else StudyConsole(stderr=as_json, highlight=False, width=PLAIN_WIDTH)
+    console = StudyConsole(stderr=as_json, highlight=False, markup=False)
+    return console if console.is_terminal else StudyConsole(stderr=as_json, highlight=False, markup=False, width=PLAIN_WIDTH)
 
 
 def run_study(found: Design, into: Path, workers: int | None, scheduler: str | None, as_json: bool) -> int:

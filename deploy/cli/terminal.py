@@ -107,8 +107,11 @@ async def until_key() -> None:
 
 
 def table_console() -> Console:
-    """Where tables are printed: as wide as the terminal, or `PLAIN_WIDTH` columns where there is none."""
-    return Console(highlight=False, width=None if sys.stdout.isatty() else PLAIN_WIDTH)
+    """Where tables are printed: as wide as the terminal, or `PLAIN_WIDTH` columns where there is none.
+
+    Brackets are no markup: they may stand in paths, and anybody may publish under keys that hold some.
+    """
+    return Console(highlight=False, markup=False, width=None if sys.stdout.isatty() else PLAIN_WIDTH)
 
 
 def open_browser(address: str) -> str:

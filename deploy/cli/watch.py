@@ -30,7 +30,7 @@ Ask = Callable[[str, str], dict[str, Any]]  # verb, who -> the supervisor's answ
 def watch(run: str | None) -> int:
     """Show a live picture until the run ends or q is pressed; print plain lines without a terminal."""
     client = ControlClient(find_running(run, supervised=True))
-    console = Console(highlight=False)
+    console = Console(highlight=False, markup=False)
     try:
         if not console.is_terminal:
             while True:

@@ -8,9 +8,10 @@ from pathlib import Path
 import pytest
 import zenoh
 
-from deploy.cli.listen import record
+from deploy.cli.listen import rates_table, record
 from deploy.cli.listener import LOOK, SILENCE, KeyedPayload, Listener, Rates, expression, kinds, lies_in
 from deploy.cli.message_text import block, fields, plain_line
+from deploy.cli.terminal import table_console
 from deploy.cli.terminal_map import swarm_map
 from deploy.scenario import resolve, toml_text
 from protocol import codec
@@ -154,7 +155,7 @@ def test_a_key_lies_in_an_expression_or_not(wanted: str) -> None:
 
 def test_keys_are_named_by_kind() -> None:
     keys = ["covey/r/truth", "covey/r/gossip/s1", "covey/r/gossip/s2", "covey/r/beacon/3/4/s1"]
-    assert kinds(keys) == "beacon/** (1 key), gossip/** (2 keys), truth"
+    assert kinds(keys) == kinds(["covey/r", *keys]) == "beacon/** (1 key), gossip/** (2 keys), truth"
 
 
 def test_a_known_message_is_printed_as_json_with_its_arrays_spelled_out() -> None:
@@ -178,6 +179,18 @@ def test_long_arrays_are_cut_in_a_terminal() -> None:
     )
     assert "10 rows: 0, 0, 0, 0, 0, 0, ..." in text
     assert fields(COMMAND)["velocity"] == (1.0, 2.0)
+
+
+def test_keys_and_texts_that_anybody_makes_up_are_printed_as_they_are_and_obeyed_by_no_terminal(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    rates = Rates()
+    rates.note(KeyedPayload("covey/r/[/red]", b"", None, "key"), 0.0)
+    table_console().print(rates_table(rates))
+    assert "covey/r/[/red]" in capsys.readouterr().out
+    truth = Truth(sender="world", incarnation=1, tick=3, time=0.75, bodies=("\x1b[31mä",), poses_bytes=bytes(24))
+    texts = block(KeyedPayload("covey/r/truth", b"", truth, "")), block(KeyedPayload("covey/r/\x1b[31mä", b"", None, "key"))
+    assert all("\\x1b[31mä" in text and "\x1b" not in text for text in texts)
 
 
 def test_rates_are_messages_per_second_the_longest_gap_and_the_mean_size() -> None:
