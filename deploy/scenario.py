@@ -12,7 +12,6 @@ import msgspec
 import tomli_w
 
 from agents.config import AgentConfig, ExtractionSettings
-from protocol.endpoints import check_files
 from protocol.keys import order
 from protocol.settings import (
     BadOption,
@@ -312,12 +311,6 @@ def check_names(scenario: Scenario) -> None:
     for name in bodies_of(scenario).values():
         if name in scenario.members:
             raise BadSetting(f"members.{name}: this name belongs to a body; call the agent otherwise")
-
-
-def check_certificates(scenario: Scenario) -> None:
-    """Raise BadSetting where a process of a run on this machine has no certificate that the scenario asks for."""
-    for name in ("monitor", *(() if bodies_of(scenario) else ("world",)), *scenario.members):
-        check_files(scenario.network, name)
 
 
 def bodies_of(scenario: Scenario) -> dict[str, str]:

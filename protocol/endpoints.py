@@ -6,13 +6,15 @@ Any endpoint on this machine is allowed. An endpoint beyond this machine needs T
 import os
 import re
 import socket
+import ssl
 
 from msgspec import structs
 
 from protocol.settings import BadSetting, NetworkSettings
 
 ENCRYPTED = ("tls/", "quic/")
-ENDPOINT_FORM = re.compile(r"^[a-z-]+/\S+\Z")
+ENDPOINT_FORM = re.compile(r"^(?:(?:tcp|udp|tls|quic|ws)/[^\s/?#]+:(\d{1,5})(?:[?#]\S+)?|(?!tcp|udp|tls|quic|ws)[a-z-]+/\S+)\Z")
+LARGEST_PORT = 65535
 SAFE_ENDPOINT = re.compile(r"^(tls/|quic/|unixsock-stream/|[a-z]+/(127\.\d+\.\d+\.\d+|localhost|\[::1\]):\d+)")
 
 
@@ -28,8 +30,9 @@ def check_endpoints(settings: NetworkSettings) -> None:
     for field in ("listen", "seeds"):
         for endpoint in getattr(settings, field):
             setting = f"network.{field} = {endpoint!r}"
-            if not ENDPOINT_FORM.match(endpoint):
-                raise BadSetting(f"{setting}: should read protocol/address:port, such as tcp/127.0.0.1:0")
+            form = ENDPOINT_FORM.match(endpoint)
+            if form is None or int(form[1] or 0) > LARGEST_PORT:
+                raise BadSetting(f"{setting}: should read protocol/address:port, such as tcp/127.0.0.1:0; a port is at most {LARGEST_PORT}")
             if not settings.insecure and not SAFE_ENDPOINT.match(endpoint):
                 raise BadSetting(f"{setting}: leaves this machine without TLS; use tls/..., a loopback address, or network.insecure = true")
             if endpoint.startswith(ENCRYPTED) and not settings.encrypted:
@@ -49,16 +52,29 @@ def check_loopback() -> None:
 
 
 def check_files(settings: NetworkSettings, name: str) -> None:
-    """Raise BadSetting when a file of mutual TLS is missing for the owner of that common name."""
+    """Raise BadSetting when a file of mutual TLS is missing for the owner of that common name, or is not what it should be."""
     if not settings.encrypted:
         return
-    for field, file in settings.files(name).items():
+    files = settings.files(name)
+    for field, file in files.items():
         try:
             with open(file, "rb"):
                 pass
         except OSError as error:
             reason = "is not given; ca, certificate and key go together" if not file else error.strerror
             raise BadSetting(f"network.{field} = {file!r}: {reason}; `covey keys` makes the certificates of a swarm") from None
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
+    try:
+        context.load_verify_locations(files["ca"])
+    except ssl.SSLError:
+        raise BadSetting(
+            f"network.ca = {files['ca']!r}: should be the certificate of an authority, such as the ca.pem of `covey keys`"
+        ) from None
+    try:
+        context.load_cert_chain(files["certificate"], files["key"], password="")  # without a password it would ask for one
+    except (ssl.SSLError, ValueError):
+        right = f"should be the key, without a password, of the certificate {files['certificate']}"
+        raise BadSetting(f"network.key = {files['key']!r}: {right}") from None
 
 
 def own_endpoints(settings: NetworkSettings) -> tuple[str, ...]:

@@ -17,7 +17,7 @@ from deploy.cli.scenario_checks import (
 )
 from deploy.cli.template import template
 from deploy.installation import versions
-from deploy.scenario import ORACLE, Scenario, agent_config, check_certificates, recording_remarks, targets_in_words, toml_text, world_config
+from deploy.scenario import ORACLE, Scenario, agent_config, recording_remarks, targets_in_words, toml_text, world_config
 from deploy.scoring.tick_rate import too_small
 from deploy.storage.run_directory import LEAST_BYTES, runs_folder
 from protocol.settings import BadSetting, NetworkSettings
@@ -100,10 +100,7 @@ def check(scenario: Scenario) -> int:
         print(f"fit        {remark}")
     if scenario.control.mode == ORACLE:
         print("control    oracle knows the true targets: of `covey simulate` alone, `covey up` refuses it")
-    try:
-        check_certificates(scenario)
-    except BadSetting as error:
-        print(f"missing    {error}. `covey up` needs it on the machine where it runs")
+    tell_certificates(scenario)
     found = versions()
     for remark in recording_remarks(scenario):
         print(f"left out   {remark}")
@@ -123,3 +120,13 @@ def check(scenario: Scenario) -> int:
     if advice := too_small(scenario):
         print(f"warning    {advice}", file=sys.stderr)
     return 0
+
+
+def tell_certificates(scenario: Scenario) -> None:
+    """Print what is wrong with the certificates of this machine; those of other machines may be there alone."""
+    from deploy.live.startup import check_certificates  # `config` has no use for what it loads
+
+    try:
+        check_certificates(scenario)
+    except BadSetting as error:
+        print(f"missing    {error}. `covey up` needs it on the machine where it runs")

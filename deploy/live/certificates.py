@@ -13,16 +13,18 @@ import contextlib
 import ipaddress
 import os
 import re
+from collections.abc import Iterator
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 from cryptography import x509
+from cryptography.exceptions import InvalidSignature
 from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
 from protocol.keys import NAME
-from protocol.settings import BadSetting
+from protocol.settings import BadSetting, NetworkSettings
 
 AUTHORITY = "ca"
 AUTHORITY_DAYS = 3650
@@ -148,6 +150,23 @@ def _certify(
     file = folder / f"{name}.pem"
     _write(file, certificate.public_bytes(serialization.Encoding.PEM), 0o644)
     return file
+
+
+def wrong_with_certificate(network: NetworkSettings, name: str) -> Iterator[str]:
+    """Whether the certificate of `name` is in force, of this name and of the authority that is trusted: a line for each that it is not."""
+    files = network.files(name)
+    certificate, authority = (x509.load_pem_x509_certificate(Path(files[field]).read_bytes()) for field in ("certificate", "ca"))
+    file = files["certificate"]
+    common = ", ".join(str(part.value) for part in certificate.subject.get_attributes_for_oid(NameOID.COMMON_NAME))
+    ends, now = certificate.not_valid_after_utc, datetime.now(UTC)
+    if common != name:
+        yield f"{file}: is the certificate of {common}, not of {name}"
+    if not certificate.not_valid_before_utc <= now <= ends:
+        yield f"{file}: ran out on {ends:%Y-%m-%d}, or this machine's clock is wrong: {now:%Y-%m-%d %H:%M} UTC"
+    try:
+        certificate.verify_directly_issued_by(authority)
+    except (ValueError, TypeError, InvalidSignature) as error:
+        yield f"{file}: is not of the authority {files['ca']} ({type(error).__name__})"
 
 
 def _builder(subject: x509.Name, issuer: x509.Name, key: ec.EllipticCurvePrivateKey, days: int) -> x509.CertificateBuilder:

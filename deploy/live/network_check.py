@@ -5,7 +5,6 @@ certificate of one process, and without a token: nobody takes it for that proces
 """
 
 import contextlib
-import datetime
 import re
 import socket
 import ssl
@@ -13,14 +12,12 @@ import threading
 import time
 from collections.abc import Iterator
 from concurrent.futures import Future, wait
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import msgpack
 import msgspec
-from cryptography import x509
-from cryptography.exceptions import InvalidSignature
 
+from deploy.live.certificates import wrong_with_certificate
 from deploy.scenario import Scenario, agent_config
 from protocol import codec, live
 from protocol.access import WATCHER, common_name
@@ -75,7 +72,7 @@ def check_network(scenario: Scenario, name: str, seconds: float = LISTEN_SECONDS
     if not network.seeds:
         raise BadSetting("network.seeds is empty: nobody is dialled; should hold endpoints of the swarm, such as 'tls/10.0.0.1:7447'")
     if network.encrypted:
-        yield from _own_certificate(network, common_name(own))
+        yield from (Finding(False, text) for text in wrong_with_certificate(network, common_name(own)))
     reached = False
     for seed in network.seeds:
         finding = _seed(seed, network, common_name(own))
@@ -86,26 +83,6 @@ def check_network(scenario: Scenario, name: str, seconds: float = LISTEN_SECONDS
         yield from _who_is_there(scenario, heard, links, network.encrypted, name)
 
 
-def _own_certificate(network: NetworkSettings, name: str) -> Iterator[Finding]:
-    """Whether the certificate is in force, of this name and of the authority that is trusted here."""
-    files = network.files(name)
-    try:
-        certificate, authority = (x509.load_pem_x509_certificate(Path(files[field]).read_bytes()) for field in ("certificate", "ca"))
-    except ValueError as error:
-        raise BadSetting(f"network.certificate = {files['certificate']!r}, network.ca = {files['ca']!r}: no certificate: {error}") from None
-    file = files["certificate"]
-    common = ", ".join(str(part.value) for part in certificate.subject.get_attributes_for_oid(x509.NameOID.COMMON_NAME))
-    ends, now = certificate.not_valid_after_utc, datetime.datetime.now(datetime.UTC)
-    if common != name:
-        yield Finding(False, f"{file}: is the certificate of {common}, not of {name}")
-    if not certificate.not_valid_before_utc <= now <= ends:
-        yield Finding(False, f"{file}: ran out on {ends:%Y-%m-%d}, or this machine's clock is wrong: {now:%Y-%m-%d %H:%M} UTC")
-    try:
-        certificate.verify_directly_issued_by(authority)
-    except (ValueError, TypeError, InvalidSignature) as error:
-        yield Finding(False, f"{file}: is not of the authority {files['ca']} ({type(error).__name__})")
-
-
 def _seed(seed: str, network: NetworkSettings, name: str) -> Finding:
     """Whether somebody listens at an endpoint, and with certificates whether both sides accept each other."""
     found = re.fullmatch(r"(tcp|tls)/\[?([^\]]+?)\]?:(\d+)", seed)
@@ -114,8 +91,8 @@ def _seed(seed: str, network: NetworkSettings, name: str) -> Finding:
     try:
         with socket.create_connection((found[2], int(found[3])), timeout=REACH_SECONDS) as connection:
             return _handshake(seed, connection, network, name) if found[1] == "tls" else Finding(True, f"{seed}: somebody listens")
-    except OSError as error:
-        reason = error.strerror or str(error)
+    except (OSError, UnicodeError) as error:  # the second for what can be no host name
+        reason = getattr(error, "strerror", None) or str(error)
         return Finding(False, f"{seed}: cannot be reached: {reason}; is the process up, the address right, the port open in the firewall?")
 
 
@@ -124,10 +101,7 @@ def _handshake(seed: str, connection: socket.socket, network: NetworkSettings, n
     files = network.files(name)
     context = ssl.create_default_context(cafile=files["ca"])
     context.check_hostname = False
-    try:
-        context.load_cert_chain(files["certificate"], files["key"])
-    except ssl.SSLError as error:
-        raise BadSetting(f"network.key = {files['key']!r}: does not belong to {files['certificate']}: {error.reason}") from None
+    context.load_cert_chain(files["certificate"], files["key"])
     try:
         with context.wrap_socket(connection) as secured:
             secured.settimeout(ALERT_SECONDS)

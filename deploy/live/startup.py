@@ -9,13 +9,27 @@ from pathlib import Path
 from agents.compiled.cache import compiled_before, loops_on_disk, number_of_loops
 from deploy.live.processes import Child
 from deploy.live.zygote import Zygote
+from deploy.scenario import Scenario, bodies_of
 from deploy.scoring.scorer import Scorer
+from protocol.endpoints import check_files
 from protocol.observer_messages import Truth
 from protocol.settings import BadSetting
 
 HOLD = 20.0  # s at most for which the last agent is held back without a new process heard by the monitor
 LOOK = 0.05  # s between two looks at the zygote while it prepares
 MOST_NAMED = 5  # missing agents that are named; more are counted
+
+
+def check_certificates(scenario: Scenario) -> None:
+    """Raise BadSetting where a process of a run with certificates on this machine has none that the others accept."""
+    if not scenario.network.encrypted:
+        return
+    from deploy.live.certificates import wrong_with_certificate  # which loads cryptography
+
+    for name in ("monitor", *(() if bodies_of(scenario) else ("world",)), *scenario.members):
+        check_files(scenario.network, name)
+        for wrong in wrong_with_certificate(scenario.network, name):
+            raise BadSetting(wrong)
 
 
 class Startup:

@@ -19,9 +19,9 @@ from deploy.live.control import Answer, ControlServer
 from deploy.live.operations import Operations
 from deploy.live.processes import Child, packages, process_rows
 from deploy.live.seeds import endpoints, seed_listeners
-from deploy.live.startup import Startup
+from deploy.live.startup import Startup, check_certificates
 from deploy.live.zygote import Zygote
-from deploy.scenario import Scenario, bodies_of, check_certificates, check_names, world_names
+from deploy.scenario import Scenario, bodies_of, check_names, world_names
 from deploy.scoring.result import Result
 from deploy.scoring.scorer import Scorer, Status
 from deploy.scoring.scores import write_scores

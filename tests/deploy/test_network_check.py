@@ -81,6 +81,8 @@ def test_a_seed_where_nobody_listens_is_named() -> None:
     [line] = wrong(scenario_at(seed))
     assert line == f"{seed}: cannot be reached: Connection refused; is the process up, the address right, the port open in the firewall?"
     [line] = wrong(scenario_at("tcp/nowhere.invalid:7447", **{"network.insecure": True}))
+    [unnamed] = wrong(scenario_at("tcp/..:7447", **{"network.insecure": True}))
+    assert unnamed.startswith("tcp/..:7447: cannot be reached: ")
     assert line.startswith("tcp/nowhere.invalid:7447: cannot be reached: Name or service not known") or "name resolution" in line
 
 

@@ -316,7 +316,21 @@ def test_certificates_that_are_missing_or_unreadable_are_one_clear_line(covey: C
     assert (code, complaints.count("\n")) == (2, 1)
     assert "nowhere/ca.pem': No such file or directory; `covey keys` makes the certificates of a swarm" in complaints
     assert covey.run("keys", "--scenario", "quick")[0] == 0
-    (covey.folder / "keys" / "monitor.pem").write_text("rubbish")
-    code, _, complaints = covey.run("up", "quick", "--keys", "keys")
-    assert (code, complaints.count("\n")) == (2, 1), complaints
-    assert "certificate" in complaints and "Traceback" not in complaints
+    keys, team = covey.folder / "keys", ("--set", "team.composition='A2'")
+    make_keys(["s1", "s2"], keys, days=0, force=True)
+    whole = {file.name: file.read_bytes() for file in keys.iterdir()}
+    for file, content, complaint in (
+        ("monitor.pem", b"rubbish", "keys/monitor.key': should be the key, without a password, of the certificate "),
+        (
+            "s1.key",
+            whole["s2.key"],
+            "keys/s1.key': should be the key, without a password, of the certificate ",
+        ),
+        ("ca.pem", b"", "keys/ca.pem': should be the certificate of an authority"),
+        ("", b"", "keys/s1.pem: ran out on"),
+    ):
+        for name, before in {**whole, file: content or b"\n"}.items():
+            if name:
+                (keys / name).write_bytes(before)
+        code, _, complaints = covey.run("up", "quick", "--keys", "keys", *team)
+        assert (code, complaints.count("\n")) == (2, 1) and complaint in complaints, complaints

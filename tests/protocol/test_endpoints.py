@@ -6,7 +6,9 @@ import sys
 from pathlib import Path
 
 import pytest
+from cryptography.hazmat.primitives import serialization
 
+from deploy.live.certificates import make_keys
 from protocol.endpoints import check_endpoints, check_files, free_port, own_endpoints
 from protocol.settings import BadSetting, NetworkSettings
 
@@ -26,9 +28,12 @@ def test_an_open_endpoint_is_refused_with_field_and_value_unless_insecure(endpoi
     check_endpoints(NetworkSettings(seeds=(endpoint,), insecure=True))
 
 
-def test_an_endpoint_that_cannot_be_read_is_refused_even_when_insecure() -> None:
-    with pytest.raises(BadSetting, match=r"network\.listen = '127\.0\.0\.1:1': should read"):
-        check_endpoints(NetworkSettings(listen=("127.0.0.1:1",), insecure=True))
+@pytest.mark.parametrize("endpoint", ["127.0.0.1:1", "tcp/127.0.0.1", "tls/10.0.0.1:x", "tcp/127.0.0.1:65536", "tcp//127.0.0.1:1"])
+def test_an_endpoint_that_cannot_be_read_is_refused_even_when_insecure(endpoint: str) -> None:
+    """Zenoh dials one without a port for ever, and says nothing."""
+    with pytest.raises(BadSetting, match=rf"network\.listen = '{endpoint}': should read .* at most 65535"):
+        check_endpoints(NetworkSettings(listen=(endpoint,), insecure=True))
+    check_endpoints(NetworkSettings(listen=("tcp/[::1]:65535?rel=1#iface=lo", "unixsock-stream/tmp/x", "tcp/localhost:0")))
 
 
 FILES = {"ca": "ca.pem", "certificate": "{name}.pem", "key": "{name}.key"}
@@ -60,6 +65,25 @@ def test_files_are_missed_by_name_and_field(tmp_path: Path) -> None:
     with pytest.raises(BadSetting, match=r"network\.certificate = .*s2\.pem': No such file"):
         check_files(settings, "s2")
     check_files(NetworkSettings(), "s1")
+
+
+def test_files_that_are_not_what_they_should_be_are_named_and_none_asks_for_a_password(tmp_path: Path) -> None:
+    make_keys(["s1", "s2"], tmp_path)
+    settings = NetworkSettings(**{field: str(tmp_path / file) for field, file in (*FILES.items(), ("ca", "ca.pem"))})
+    check_files(settings, "s1")
+    own = serialization.load_pem_private_key((tmp_path / "s1.key").read_bytes(), None)
+    locked = own.private_bytes(
+        serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, serialization.BestAvailableEncryption(b"secret")
+    )
+    for content in ((tmp_path / "s2.key").read_bytes(), b"rubbish", locked):
+        (tmp_path / "s1.key").write_bytes(content)
+        with pytest.raises(
+            BadSetting, match=r"network\.key = '.*s1\.key': should be the key, without a password, of the certificate .*s1\.pem$"
+        ):
+            check_files(settings, "s1")
+    (tmp_path / "ca.pem").write_text("")
+    with pytest.raises(BadSetting, match=r"network\.ca = '.*ca\.pem': should be the certificate of an authority"):
+        check_files(settings, "s2")
 
 
 def test_a_free_port_lies_below_the_range_of_outgoing_connections() -> None:
