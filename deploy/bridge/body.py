@@ -93,7 +93,7 @@ class RobotBody:
                 self._others[heard.name] = x, y
         elif heard.kind == "command":
             self._obey(heard, now)
-        elif heard.kind == "halt" and heard.incarnation > self._halt:
+        elif heard.kind == "halt" and heard.incarnation > self._halt and isinstance(heard.fields["held"], bool):
             self._halt, self.held = heard.incarnation, heard.fields["held"]
 
     def _on_token(self, heard: Heard, now: float) -> None:

@@ -175,7 +175,7 @@ class Bridge:
     def _on_heard(self, heard: Heard) -> None:
         """Take what the swarm says; the agent's estimate is for people who watch in ROS."""
         before = self.body.halt
-        with contextlib.suppress(KeyError, TypeError, ValueError, struct.error):  # a message of another form is passed over
+        with contextlib.suppress(KeyError, TypeError, ValueError, OverflowError, struct.error):  # a message of another form is passed over
             if heard.kind == "estimate":
                 self._show(heard.fields)
             else:

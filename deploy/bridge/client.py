@@ -143,7 +143,7 @@ class Participant:
         payload, parts = sample.payload.to_bytes(), str(sample.key_expr).split("/")
         try:
             fields: Fields = msgpack.unpackb(payload) if len(payload) <= MAX_BYTES else {}
-            if fields["wire"] == WIRE and (len(parts) == 3 or fields["sender"] == parts[3]):
+            if fields["wire"] == WIRE and type(fields["incarnation"]) is int and (len(parts) == 3 or fields["sender"] == parts[3]):
                 self.events.put(Heard(parts[2], fields["sender"], fields, fields["incarnation"]))
         except (ValueError, TypeError, KeyError, msgpack.UnpackException):
             return

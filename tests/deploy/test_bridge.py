@@ -4,6 +4,7 @@ import json
 import math
 import os
 import signal
+import queue
 import struct
 import subprocess
 import sys
@@ -22,7 +23,7 @@ from deploy.bridge.bridge import Bridge, keep, kept, point, run, upright, vector
 from deploy.bridge.client import Heard, Network, Participant, access_control, config_of
 from deploy.bridge.frames import Placement, fenced, moved, placed, wheels
 from deploy.bridge.odometry import Odometry
-from deploy.bridge.ros import QOS, RosNode, attachment, message, topic_key
+from deploy.bridge.ros import QOS, STORE, RosNode, attachment, message, topic_key
 from deploy.bridge.settings import BridgeOptions, Wrong, check, read_run
 from deploy.bridge.watchdog import BridgeWatchdog
 from deploy.live.certificates import make_keys
@@ -107,7 +108,8 @@ def test_the_file_of_the_halt_holds_the_order_that_counts(tmp_path: Path, capsys
     bridge._watchdog = BridgeWatchdog(())
     for held, incarnation in ((True, 9), (False, 8)):
         bridge._on_heard(Heard("halt", "operator-1", {"held": held}, incarnation))
-    bridge._on_heard(Heard("halt", "operator-1", {}, 10))  # of another form
+    for fields in ({}, {"held": [True]}):  # of another form
+        bridge._on_heard(Heard("halt", "operator-1", fields, 10))
     assert [(one.incarnation, one.fields) for one in kept(file)] == [(9, {"held": True})]
     keep(tmp_path / "nowhere" / "halt", (9, True))
     assert "No such file or directory: the halt is not kept" in capsys.readouterr().err
@@ -139,6 +141,19 @@ def test_a_bridge_that_ends_by_itself_says_why(end: str, code: int, why: str, ca
     setattr(bridge.body, end, True)
     assert bridge.serve(threading.Event()) == code
     assert capsys.readouterr().err.startswith(f"bridge: {why}")
+
+
+def test_a_message_of_numbers_that_no_robot_has_ends_no_bridge() -> None:
+    """The cell goes to ROS in 32 bits, and an incarnation may be kept in a file."""
+    bridge, shown = Bridge.__new__(Bridge), SimpleNamespace(publish=lambda said: STORE.serialize_cdr(said, said.__msgtype__))
+    bridge.body, bridge._targets, bridge._cell = Desk().body, shown, shown
+    bridge._on_heard(Heard("estimate", "s3", {"cell": struct.pack("<2d", 1e39, 0.0)}, 7))
+    client = Participant.__new__(Participant)
+    client.events = queue.SimpleQueue()
+    for incarnation in (math.inf, True, "9", 9):
+        packed = msgpack.packb({"wire": 2, "sender": "operator-1", "incarnation": incarnation, "held": True})
+        client._on_sample(SimpleNamespace(payload=SimpleNamespace(to_bytes=lambda packed=packed: packed), key_expr="covey/r/halt"))
+    assert client.events.get_nowait().incarnation == 9 and client.events.empty()
 
 
 def head(frame: str, stamp: float) -> Any:
