@@ -73,6 +73,9 @@ def cached(loop: Callable[..., Any]) -> Any:
     before, config.CACHE_DIR = config.CACHE_DIR, str(folder())  # numba reads it only while it decorates a function
     try:
         compiled: Any = numba.njit(cache=True)(loop)
+    except RuntimeError:  # numba has found no place to write to
+        check_place()
+        raise
     finally:
         config.CACHE_DIR = before
     save = compiled._cache.save_overload

@@ -12,6 +12,7 @@ import pytest
 
 from agents.compiled import cache
 from agents.compiled.cache import HERE, SOURCES
+from protocol.settings import BadSetting
 
 ROOT = HERE.parents[1]
 INNER = """
@@ -186,3 +187,17 @@ def test_without_the_compiler_the_loops_run_as_plain_python() -> None:
         [sys.executable, "-c", program], cwd=ROOT, env=variables, capture_output=True, text=True, timeout=110, check=False
     )
     assert done.stdout == "function\n", done.stderr
+
+
+def test_loops_that_cannot_be_kept_are_told_where_and_not_in_the_words_of_numba(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The user of an installation that belongs to another one, without a home that can be written."""
+
+    def njit(**_: object) -> None:
+        raise RuntimeError("cannot cache function 'loop': no locator available")
+
+    (tmp_path / "file").touch()
+    monkeypatch.setattr(cache, "folder", lambda: tmp_path / "file" / "kernels")
+    monkeypatch.setattr("numba.njit", njit)
+    monkeypatch.delenv("NUMBA_DISABLE_JIT", raising=False)
+    with pytest.raises(BadSetting, match=r"file: compiled loops cannot be kept there: Not a directory; NUMBA_CACHE_DIR names another"):
+        cache.cached(lambda: None)
