@@ -7,11 +7,13 @@ import re
 import time
 from typing import Any
 
+from rich.console import Console
 from rich.table import Table
 
 from deploy.cli.display import process_table
 from deploy.cli.logs import LogTails, runs_with_logs
 from deploy.cli.terminal import table_console
+from deploy.cli.watch import fit
 from deploy.live.control import ControlClient
 from deploy.storage.run_directory import RunDirectory, find_running
 from protocol.settings import BadSetting, read_toml
@@ -27,8 +29,15 @@ def ps(run: str | None, as_json: bool, everything: bool = False) -> int:
     if as_json:
         print(json.dumps(data))
     else:
-        table_console().print(process_table(data))
+        print_processes(data, table_console())
     return 0
+
+
+def print_processes(data: dict[str, Any], console: Console) -> None:
+    """Print the table of the processes of a swarm with as many columns as there is room for."""
+    table = process_table(data)
+    fit(table, console)
+    console.print(table)
 
 
 def ps_all(run: str | None, as_json: bool) -> int:
@@ -50,7 +59,7 @@ def ps_all(run: str | None, as_json: bool) -> int:
         return 0
     console = table_console()
     for one in data:
-        console.print(process_table(one))
+        print_processes(one, console)
     for why in silent:
         console.print(why)
     if gone:

@@ -6,6 +6,7 @@ from typing import Any
 import pytest
 from rich.console import Console
 
+from deploy.cli.process_list import print_processes
 from deploy.cli.terminal import KEY, NAMES
 from deploy.cli.watch import WatchScreen
 from protocol.settings import BadSetting
@@ -64,6 +65,15 @@ def test_a_picture_is_never_wider_than_the_terminal_and_name_and_state_stay(widt
     assert max(map(len, lines)) <= width
     shown = "\n".join(lines)
     assert all(word in shown for word in ("name", "state", "s10", "running", "paused"))
+
+
+def test_the_table_of_ps_has_no_column_that_is_cut_off() -> None:
+    console = Console(file=io.StringIO(), width=60)
+    print_processes(status(row("world"), row("s10"), row("s11", "paused")), console)
+    assert isinstance(console.file, io.StringIO)
+    shown = console.file.getvalue()
+    assert "…" not in shown and max(map(len, shown.splitlines())) <= 60
+    assert all(word in shown for word in ("name", "state", "s10", "running", "paused", "subscribe at tcp/127.0.0.1:7447"))
 
 
 def test_the_narrower_the_terminal_the_fewer_columns_and_what_matters_least_goes_first() -> None:
