@@ -66,7 +66,9 @@ class Overheard:
 def check_network(scenario: Scenario, name: str, seconds: float = LISTEN_SECONDS) -> Iterator[Finding]:
     """What is found on the network of a scenario, with the certificate of `name`; raises BadSetting where it cannot be tried."""
     network = msgspec.structs.replace(scenario.network, admit=scenario.network.admit or tuple(scenario.members))
-    own = Token(scenario.run.name, "agent" if name in scenario.members else WATCHER, name, 0)
+    if name != WATCHER and network.admit and name not in network.admit:
+        raise BadSetting(f"--as {name}: should be {WATCHER}, or one of {', '.join(network.admit)}")
+    own = Token(scenario.run.name, WATCHER if name == WATCHER else "agent", name, 0)
     check_endpoints(network)
     check_files(network, common_name(own))
     if not network.seeds:

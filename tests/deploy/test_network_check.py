@@ -116,6 +116,17 @@ def test_a_certificate_that_has_run_out_or_is_of_another_name_is_named_before_an
     assert wrong(scenario, "s2")[0] == f"{tmp_path}/s2.pem: is the certificate of s1, not of s2"
 
 
+def test_the_certificate_is_that_of_the_name_also_where_the_file_has_no_roster_and_an_unknown_name_is_refused(tmp_path: Path) -> None:
+    """With a wrong name that of the monitor was tried, and all was well."""
+    make_keys(["s2", "monitor"], tmp_path)
+    scenario = scenario_at(f"tls/127.0.0.1:{free_port()}", tmp_path)
+    with pytest.raises(BadSetting, match=r"^--as s9: should be monitor, or one of s1, s2$"):
+        wrong(scenario, "s9")
+    roster = {"members": {}, "network": msgspec.structs.replace(scenario.network, admit=("s1", "s2"))}
+    make_keys(["s2"], tmp_path, days=0, force=True)
+    assert "s2.pem: ran out on" in wrong(msgspec.structs.replace(scenario, **roster), "s2")[0]
+
+
 def test_a_name_that_the_others_do_not_admit_hears_nothing_and_is_told_what_that_may_mean(tmp_path: Path) -> None:
     make_keys([*NAMES], tmp_path)
     scenario = scenario_at(f"tls/127.0.0.1:{free_port()}", tmp_path)
