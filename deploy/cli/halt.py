@@ -90,16 +90,21 @@ def say(run: str | None, *, held: bool) -> int:
     period = run_settings.dt / speed if speed else 0.0
     node = Operator(run_settings.name, time.time_ns() // 1_000_000, held=held, period=period, judges=not wrong)
     code = live.run(node, scenario.network)
-    moving = sorted(node.bodies - node.standing, key=order)
-    if not node.bodies:
-        unknown = "stand" if held else "be released"
-        print(f"no body of run {run_settings.name} has answered within {node.most:g} s: nothing is known to {unknown}")
-    elif not held:
-        print(f"released {len(node.bodies)} bodies")
-    elif wrong:
-        print(f"{len(node.bodies)} bodies have been told to stand; {wrong[0]} hides whether they do. `covey release` lets them go on")
-    elif code == 0:
-        print(f"{len(node.bodies)} bodies stand; `covey release` lets them go on")
-    else:
-        print(f"{len(node.standing)} bodies stand, not {', '.join(moving)}")
+    print(outcome(node, held=held, wrong=wrong[0] if wrong else ""))
     return code
+
+
+def outcome(node: Operator, *, held: bool, wrong: str) -> str:
+    """What came of an order, in words; `wrong`: a setting that hides who stands, or empty."""
+    number, moving = len(node.bodies), sorted(node.bodies - node.standing, key=order)
+    if not number:
+        unknown = "stand" if held else "be released"
+        return f"no body of run {node.run} has answered within {node.most:g} s: nothing is known to {unknown}"
+    if not held:
+        doubt = "" if moving or wrong else "; none moves yet: a halt counts on if it came from a machine whose clock is ahead of this one"
+        return f"released {number} bodies{doubt}"
+    if wrong:
+        return f"{number} bodies have been told to stand; {wrong} hides whether they do. `covey release` lets them go on"
+    if not moving:
+        return f"{number} bodies stand; `covey release` lets them go on"
+    return f"{len(node.standing)} bodies stand, not {', '.join(moving)}"

@@ -1,6 +1,6 @@
 """What an operator who says halt concludes from the poses, and how long it waits."""
 
-from deploy.cli.halt import MOST, SETTLE, Operator
+from deploy.cli.halt import MOST, SETTLE, Operator, outcome
 from protocol.messages import Halt, Observation
 from protocol.node import Started, Stop, Timer, received
 
@@ -52,3 +52,15 @@ def test_a_release_ends_well_once_a_body_is_heard_and_fails_where_none_is() -> N
     assert code == 1 and 32.0 <= end < 32.2
     code, end = conclusion(Operator("r", 1, held=True, period=0.25, judges=False), [], 40.0)
     assert code == 1 and MOST <= end < MOST + 0.2
+
+
+def test_a_release_that_moves_nobody_says_why_that_may_be() -> None:
+    """Of two orders the one with the larger incarnation counts, which is the clock of the machine that gave it."""
+    said = []
+    for speed in (0.0, 1.0):
+        operator = Operator("r", 1, held=False, period=0.25)
+        conclusion(operator, [(0.25 * tick, 0.25 * tick * speed) for tick in range(40)], 10.0)
+        said.append(outcome(operator, held=False, wrong=""))
+    hint = "none moves yet: a halt counts on if it came from a machine whose clock is ahead of this one"
+    assert said == [f"released 1 bodies; {hint}", "released 1 bodies"]
+    assert outcome(operator, held=False, wrong="bodies.position_error") == "released 1 bodies"
