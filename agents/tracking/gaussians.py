@@ -17,6 +17,7 @@ from protocol.gaussian_components import COMPONENT
 from protocol.random_streams import scramble
 from protocol.settings import ArenaSettings
 
+LARGEST_HALF = 65504.0  # that 16 bits hold
 LEAST_VARIANCE = 1.0e-8  # of each axis given the ones before, m^2 or m^2/s^2
 KERNEL_SHARE = 0.2  # of the covariance, that lies around each quadrature point; these hold the rest
 _AXIS = (-1.0, 0.0, 1.0)
@@ -70,9 +71,13 @@ def factors(covariances: np.ndarray) -> np.ndarray:
 
 
 def packed(mixture: Mixture) -> np.ndarray:
-    """The rows (N,) of `COMPONENT` that state a mixture on the wire."""
-    rows, factor = np.empty(len(mixture.ids), COMPONENT), factors(mixture.covariances)
-    rows["weight"], rows["place"], rows["velocity"] = mixture.weights, mixture.means[:, :2], mixture.means[:, 2:]
+    """The rows (N,) of `COMPONENT` that state a mixture on the wire; what 16 bits cannot hold becomes the largest number that they can.
+
+    A measurement of no exactness, or a false gossip, may found components of any width. A row beyond the range would be refused.
+    """
+    rows, factor = np.empty(len(mixture.ids), COMPONENT), np.clip(factors(mixture.covariances), -LARGEST_HALF, LARGEST_HALF)
+    velocities = np.clip(mixture.means[:, 2:], -LARGEST_HALF, LARGEST_HALF)
+    rows["weight"], rows["place"], rows["velocity"] = mixture.weights, mixture.means[:, :2], velocities
     rows["id"], rows["label"] = mixture.ids, mixture.labels
     for number, (row, column) in enumerate(LOWER):
         rows["factor"][:, number] = factor[:, row, column]

@@ -9,8 +9,10 @@ import pytest
 from agents.agent import Agent
 from agents.backend import PLAIN, Backend
 from agents.compiled.backend import FAST
-from agents.config import PoseSettings
+from agents.config import FilterSettings, PoseSettings
+from protocol import codec
 from protocol.fields import pack
+from protocol.keys import message_key
 from protocol.measuring import MeasurementModel
 from protocol.message import Message
 from protocol.messages import Gossip
@@ -27,9 +29,16 @@ CASES = {
 }
 
 
-def played(backend: Backend, measures: MeasurementModel | None, radius: float, pose_noise: tuple[float, float] | None) -> list[Message]:
+def played(
+    backend: Backend,
+    measures: MeasurementModel | None,
+    radius: float,
+    pose_noise: tuple[float, float] | None,
+    filters: FilterSettings = FilterSettings(),
+) -> list[Message]:
     """The gossips and estimates of s1, with an s2 that carries such a sensor."""
-    agent, said = Agent(msgspec.structs.replace(CONFIG, pose=PoseSettings(position_noise=0.1)), "s1", backend=backend), list[Effect]()
+    config = msgspec.structs.replace(CONFIG, pose=PoseSettings(position_noise=0.1), filter=filters)
+    agent, said = Agent(config, "s1", backend=backend), list[Effect]()
     agent.handle(Started(), 0.0)
     agent.handle(Alive("agent", "s2", 1), 0.0)
     agent.handle(hello(sensor=WedgeSensor(1.0, radius, 0.9, measures)), 0.0)
@@ -48,3 +57,12 @@ def played(backend: Backend, measures: MeasurementModel | None, radius: float, p
 def test_they_fill_no_memory_and_count_the_same_in_both_correctors(case: str) -> None:
     """The grid on which misses are weighed spanned all places at which births might lie: one agent ended all the others."""
     assert played(PLAIN, *CASES[case]) == played(FAST, *CASES[case])
+
+
+def test_components_of_any_width_are_stated_so_that_nobody_refuses_them() -> None:
+    """Their factors have 16 bits. Agents that cannot state them were refused by each other, and silent."""
+    noisy = played(PLAIN, *CASES["the largest noise of a pose"], FilterSettings(kind="gaussian-mixture"))
+    gossips = [message for message in noisy if isinstance(message, Gossip)]
+    assert max(float(np.abs(gossip.components["factor"]).max()) for gossip in gossips if gossip.components_bytes) == 65504.0
+    for gossip in gossips:
+        codec.decode(message_key(CONFIG.run.name, gossip), codec.encode(gossip))
