@@ -15,7 +15,7 @@ from typing import Any
 from rich.table import Table
 
 from deploy.cli.listener import KeyedPayload, Listener, Rates, expression, kinds, swarm_to_watch
-from deploy.cli.message_text import block, plain_line
+from deploy.cli.message_text import block, plain_line, printable
 from deploy.cli.terminal import table_console
 from deploy.live.control import ask
 from deploy.page.address import address_of
@@ -61,7 +61,7 @@ def echo(key: str, count: int | None, run: str | None) -> int:
         raise BadSetting(f"--count {count}: should be 1 or more")
 
     def on_silence(keys: list[str]) -> None:
-        where = f"; written are {kinds(keys)}" if keys else ", nor under any other key"
+        where = f"; written are {printable(kinds(keys))}" if keys else ", nor under any other key"
         print(f"covey: nothing is said under {key} so far{where}; still listening, Ctrl-C ends it", file=sys.stderr, flush=True)
 
     node = Listener(scenario.run.name, own_name("echo"), expression(key, scenario.run.name), on_heard, on_silence=on_silence)
@@ -118,7 +118,7 @@ def rates_table(rates: Rates) -> Table:
     for head in ("key", "1/s", "longest gap, ms", "bytes"):
         table.add_column(head, justify="left" if head == "key" else "right", no_wrap=True)
     for key, rate, gap, size in rates.rows():
-        table.add_row(key, "" if rate is None else f"{rate:.1f}", "" if gap is None else f"{1000.0 * gap:.0f}", f"{size:.0f}")
+        table.add_row(printable(key), "" if rate is None else f"{rate:.1f}", "" if gap is None else f"{1000.0 * gap:.0f}", f"{size:.0f}")
     return table
 
 

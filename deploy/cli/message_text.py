@@ -32,15 +32,17 @@ def plain_line(heard: KeyedPayload) -> str:
 
 
 def block(heard: KeyedPayload, most: int = 6) -> str:
-    """Several lines for a terminal: the key, then field by field, long arrays by their first rows.
-
-    Control characters are written as escapes: anybody may publish texts, and a terminal would obey them.
-    """
+    """Several lines for a terminal: the key, then field by field, long arrays by their first rows."""
     if heard.message is None:
         lines = [heard.key, f"  {heard.reason}, {len(heard.payload)} bytes: {heard.payload[:64].hex(' ')}"]
     else:
         lines = [heard.key, *(f"  {name:14} {_short(value, most)}" for name, value in fields(heard.message).items())]
-    return "\n".join(line if line.isprintable() else repr(line)[1:-1] for line in lines)
+    return "\n".join(map(printable, lines))
+
+
+def printable(line: str) -> str:
+    """A line with its control characters as escapes: anybody may publish texts and keys, and a terminal would obey them."""
+    return line if line.isprintable() else repr(line)[1:-1]
 
 
 def _short(value: Any, most: int) -> str:

@@ -7,6 +7,7 @@ import shutil
 import sys
 from pathlib import Path
 
+from deploy.cli.message_text import printable
 from deploy.cli.scenario_checks import (
     check_platform_class,
     fault_remarks,
@@ -66,7 +67,7 @@ def check_network_and_print(scenario: Scenario, name: str) -> int:
 
     wrong = 0
     for right, text in check_network(scenario, name):
-        print(f"{'ok    ' if right else 'WRONG '} {text}", flush=True)
+        print(f"{'ok    ' if right else 'WRONG '} {printable(text)}", flush=True)
         wrong += not right
     return 1 if wrong else 0
 

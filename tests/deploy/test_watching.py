@@ -185,9 +185,9 @@ def test_keys_and_texts_that_anybody_makes_up_are_printed_as_they_are_and_obeyed
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     rates = Rates()
-    rates.note(KeyedPayload("covey/r/[/red]", b"", None, "key"), 0.0)
+    rates.note(KeyedPayload("covey/r/[/red]\x1b[31m", b"", None, "key"), 0.0)
     table_console().print(rates_table(rates))
-    assert "covey/r/[/red]" in capsys.readouterr().out
+    assert r"covey/r/[/red]\x1b[31m" in capsys.readouterr().out
     truth = Truth(sender="world", incarnation=1, tick=3, time=0.75, bodies=("\x1b[31mä",), poses_bytes=bytes(24))
     texts = block(KeyedPayload("covey/r/truth", b"", truth, "")), block(KeyedPayload("covey/r/\x1b[31mä", b"", None, "key"))
     assert all("\\x1b[31mä" in text and "\x1b" not in text for text in texts)
