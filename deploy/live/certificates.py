@@ -153,20 +153,29 @@ def _certify(
 
 
 def wrong_with_certificate(network: NetworkSettings, name: str) -> Iterator[str]:
-    """Whether the certificate of `name` is in force, of this name and of the authority that is trusted: a line for each that it is not."""
+    """Whether the certificate of `name` is in force, of this name and of an authority that is trusted: a line for each that it is not.
+
+    Certificates between it and the authority follow it in its file.
+    """
     files = network.files(name)
-    certificate, authority = (x509.load_pem_x509_certificate(Path(files[field]).read_bytes()) for field in ("certificate", "ca"))
-    file = files["certificate"]
+    chain, authorities = (x509.load_pem_x509_certificates(Path(files[field]).read_bytes()) for field in ("certificate", "ca"))
+    certificate, file = chain[0], files["certificate"]
     common = ", ".join(str(part.value) for part in certificate.subject.get_attributes_for_oid(NameOID.COMMON_NAME))
     ends, now = certificate.not_valid_after_utc, datetime.now(UTC)
     if common != name:
         yield f"{file}: is the certificate of {common}, not of {name}"
     if not certificate.not_valid_before_utc <= now <= ends:
         yield f"{file}: ran out on {ends:%Y-%m-%d}, or this machine's clock is wrong: {now:%Y-%m-%d %H:%M} UTC"
+    if not any(_is_issued_by(chain[-1], authority) for authority in authorities):
+        yield f"{file}: is not of the authority {files['ca']}"
+
+
+def _is_issued_by(certificate: x509.Certificate, authority: x509.Certificate) -> bool:
     try:
         certificate.verify_directly_issued_by(authority)
-    except (ValueError, TypeError, InvalidSignature) as error:
-        yield f"{file}: is not of the authority {files['ca']} ({type(error).__name__})"
+    except (ValueError, TypeError, InvalidSignature):
+        return False
+    return True
 
 
 def _builder(subject: x509.Name, issuer: x509.Name, key: ec.EllipticCurvePrivateKey, days: int) -> x509.CertificateBuilder:

@@ -37,6 +37,9 @@ def test_a_certificate_that_no_peer_would_accept_is_named_before_anything_starts
             (tmp_path / f"s2{end}").write_bytes(source.with_name(source.name + end).read_bytes())
         with pytest.raises(BadSetting, match=rf"s2\.pem: {complaint}"):
             check_certificates(scenario)
+    with (tmp_path / "ca.pem").open("ab") as authorities:
+        authorities.write((tmp_path / "other" / "ca.pem").read_bytes())
+    check_certificates(scenario)  # two authorities are trusted
     make_keys(["s2"], tmp_path, days=0, force=True)
     with pytest.raises(BadSetting, match=r"s2\.pem: ran out on"):
         check_certificates(scenario)
