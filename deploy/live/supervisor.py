@@ -14,6 +14,7 @@ from typing import Any, Literal
 
 import msgspec
 
+from agents.membership.agreement import MOST_WARNINGS
 from deploy.faults.faults import check_faults
 from deploy.live.control import Answer, ControlServer
 from deploy.live.operations import Operations
@@ -76,7 +77,7 @@ class Supervisor:
         self.scorer.on_differing = self._on_differing
         self.scorer.on_report = lambda told: on_event(f"[{told.time:.1f} s] {told.text}")
         self.crashed: list[str] = []  # processes that have ended by an exception or a crash of their own
-        self._advised, self._winding_down = False, False
+        self._advised, self._winding_down, self._warnings = False, False, 0
         self._attended = attended
         self._still_since: float | None = None  # when the world, or its last body, died
         self._last_bodies_by = math.inf  # once a body has ended with the run: when the others should have
@@ -300,22 +301,24 @@ class Supervisor:
             self._first_truth_at = asyncio.get_running_loop().time()
             log.info("the first tick", extra={"seconds": round(self._first_truth_at - self._started_at, 3)})
             if complaint := self._start.check(truth):
-                log.warning(complaint)
-                self._tell(complaint)
+                self._warn(complaint)
         self.operations.carry_out_due(truth.time)
 
     def _on_twin(self, name: str, known: int, other: int) -> None:
         """Warn about two processes of one name, unless the younger one was just started here in place of a killed one."""
         child = self.children.get(name)
         if child is None or child.incarnation != max(known, other):
-            text = f"two processes are called {name}, incarnations {known} and {other}: the older one stops itself"
-            log.warning(text)
-            self._tell(text)
+            self._warn(f"two processes are called {name}, incarnations {known} and {other}: the older one stops itself")
 
     def _on_differing(self, name: str, fields: tuple[str, ...]) -> None:
-        text = f"the settings of {name} are not those of the run in {', '.join(fields)}: the others refuse it"
-        log.warning(text)
-        self._tell(text)
+        self._warn(f"the settings of {name} are not those of the run in {', '.join(fields)}: the others refuse it")
+
+    def _warn(self, text: str) -> None:
+        """Log and tell a warning about others, unless there have been many: anybody can cause them."""
+        self._warnings += 1
+        if self._warnings <= MOST_WARNINGS:
+            log.warning(text)
+            self._tell(text)
 
     # ------------------------------------------------------------------ verbs
 

@@ -3,8 +3,8 @@
 import json
 import math
 import os
-import signal
 import queue
+import signal
 import struct
 import subprocess
 import sys

@@ -295,3 +295,12 @@ def test_a_world_runs_on_when_the_truth_for_the_next_one_cannot_be_written(super
     with pytest.raises(BadSetting, match="world could not be restarted: Resource temporarily unavailable"):
         ask(supervisor, "restart", "world")
     assert supervisor.children["world"].is_running
+
+
+def test_warnings_about_others_end_after_64_for_anybody_can_cause_them(supervisor: Supervisor, capsys: pytest.CaptureFixture[str]) -> None:
+    """Tokens of ever new incarnations wrote 900 lines a second into the terminal and the log."""
+    for number in range(100):
+        supervisor._on_twin(f"x{number % 3}", number, number + 1)
+        supervisor._on_differing("s1", ("filter.gate",))
+    told = capsys.readouterr().out.splitlines()
+    assert len(told) == 64 and sum("two processes are called x" in line for line in told) == 32
