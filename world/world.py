@@ -37,6 +37,7 @@ HOLD = 2.0  # a command drives a body for so long at most, s of world time, real
 MOST_PERIODS_LATE = 5  # a world that is later than this gives up catching up, real time only
 RESTORE_GAP = 2  # ticks from the last Truth that was kept to the first of a restarted world: agents may have seen one more
 RESTORE_TIMEOUT = 1.0  # s, how long a restarted world waits for those who were alive before
+MOST_WARNINGS, MOST_CHARACTERS = 64, 256  # of guests without a body, and of each of them: anybody can make up names and classes
 EXIT_INCOMPLETE = 4  # of a strict world whose agents do not all come
 
 
@@ -65,6 +66,7 @@ class World(Node):
         max_rate = config.run.max_rate if self._lockstep else 0.0
         self._pause = config.run.dt / max_rate if max_rate else 0.0  # s between two ticks, at least
         self._not_before = 0.0  # lockstep: when the tick may end
+        self._warnings = 0
         self._refused: dict[str, int] = {}  # guests without room for a body, and their incarnations
         self._poses_before: dict[str, Pose] = {}  # of the bodies, one tick ago
         self._expected, self._patience, self._strict = tuple(config.members), config.run.start_timeout, config.run.strict
@@ -277,7 +279,9 @@ class World(Node):
             self._embody(name, hello.sensor or sensor_of(self._config, hello.sensor_class))
         except BadSetting as error:
             self._refused[name] = hello.incarnation
-            log.warning("%s gets no body: %s", name, error)
+            self._warnings += 1
+            if self._warnings <= MOST_WARNINGS:
+                log.warning("%s gets no body: %s", name, str(error)[:MOST_CHARACTERS])
 
     def _embody(self, name: str, sensor: SensorModel) -> None:
         """Give a sensor a body, the one that its name had in a restored run; raises BadSetting where there is no room for a new one."""

@@ -225,6 +225,14 @@ def test_a_guest_without_room_gets_no_body_is_told_of_once_and_ends_no_run(caplo
     assert len(caplog.records) == 2, "a new process is a new attempt"
 
 
+def test_warnings_about_guests_are_few_and_short(caplog: pytest.LogCaptureFixture) -> None:
+    """Anybody can make up incarnations, and a class of any length."""
+    world, _ = started(config())
+    for incarnation in range(100):
+        feed(world, Alive("agent", "x", incarnation), received(Hello(sender="x", incarnation=incarnation, sensor_class="Q" * 5000)))
+    assert len(caplog.records) == 64 and max(len(record.message) for record in caplog.records) < 300
+
+
 def test_made_up_names_leave_nothing_behind_and_its_hello_lists_none_of_them() -> None:
     world, _ = started(config())
     for number in range(3 * MOST_STRANGERS):
