@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 
 from agents.backend import PLAIN, Backend
+from agents.compiled import run_columns
+from agents.compiled.backend import prepared
 from agents.compiled.correction_kernels import _raster
 from agents.config import AgentConfig, BirthSettings, FilterSettings, PartitionSettings
 from agents.coverage.cells import cut
@@ -110,8 +112,10 @@ def test_a_miss_is_weighed_against_what_may_be_one_target(backend: Backend) -> N
 def test_the_bins_in_which_a_miss_is_weighed_cover_what_scans_reach_and_no_more() -> None:
     """Particles lie along 1 km, and s1 reaches 20 m."""
     east, detections = np.linspace(0.0, 1000.0, 101), np.array([[12.0, 30.0], [9.0, 30.0]])
+    settings = prepared(CONFIG)[0].copy()
+    settings[[run_columns.MISS_BIN, run_columns.WIDTH, run_columns.HEIGHT]] = 0.5, 1000.0, 60.0
     for found, spreads in ((detections[:0], np.zeros(0)), (detections, np.array([0.0, 4.0]))):
-        raster = _raster(east, np.full(101, 30.0), found, spreads, table_of([said("s1", POSE)]).table, np.array([0]), 0.5)
+        raster = _raster(east, np.full(101, 30.0), found, spreads, table_of([said("s1", POSE)]).table, np.array([0]), settings)
         left, low, shape = raster[0], raster[1], raster[2].shape
         assert (left, low) == (-2, 58 if not len(found) else 50)
         assert shape == (5 if not len(found) else 21, 66)
