@@ -22,7 +22,7 @@ GRID = 200  # points on a side of the square in which a sensor is sampled
 AREA_FACTOR = 1.5  # times that an area may differ from the sampled one, whose border is as coarse as the grid
 LEAST_SEEN = 100  # points of the grid with a probability above 0 from which on the sampled area says something
 ROOMS = Path(__file__).resolve().parents[1]
-NOT_THE_USERS = (  # where errors may be raised on behalf of a class of the user's
+NOT_THE_USERS = (  # where code lies that is not the user's: its lines explain no error of a class, and no study keeps its files
     *(str(ROOMS / room) + "/" for room in ("protocol", "agents", "world", "deploy")),
     str(Path(traceback.__file__).parent) + "/",  # the standard library, and installed packages
     str(Path(np.__file__).parents[1]) + "/",

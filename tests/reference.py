@@ -91,7 +91,7 @@ def metrics() -> str:
 
 {MADE} The server of the page answers `/metrics` for Prometheus. One endpoint serves the whole swarm, and every sample has the label `run`.
 Of an agent whose token is gone `covey_agent_up`, the age and the counters remain; its other gauges have no sample.
-Without true targets (`targets.count = 0`) the families that compare with them are missing: OSPA, GOSPA, targets, targets in view.
+Without true targets (`targets.count = 0`) the metrics that compare with them are not exported: OSPA, GOSPA, targets, targets in view.
 
 ```yaml
 scrape_configs:

@@ -153,9 +153,10 @@ def _certify(
 
 
 def wrong_with_certificate(network: NetworkSettings, name: str) -> Iterator[str]:
-    """Whether the certificate of `name` is in force, of this name and of an authority that is trusted: a line for each that it is not.
+    """A line for each fault of the certificate of `name`: not in force, of another name, of an authority that is not trusted here.
 
-    Certificates between it and the authority follow it in its file.
+    Certificates between it and the authority follow it in its file. The last of them must be of a trusted authority; the links between
+    them are not looked at.
     """
     files = network.files(name)
     chain, authorities = (x509.load_pem_x509_certificates(Path(files[field]).read_bytes()) for field in ("certificate", "ca"))

@@ -1,4 +1,4 @@
-"""What is done to the processes of a run and to the links between them: on request, and when a fault of the scenario is due."""
+"""The actions of operators, and of the faults of a scenario, on the processes and the links of a run."""
 
 import asyncio
 import logging
@@ -20,7 +20,7 @@ from protocol.link_faults import as_line
 from protocol.settings import BadSetting
 from protocol.whole_file import write_whole
 
-STATES: dict[str, State] = {"kill": "running", "pause": "awake", "resume": "paused", "restart": "dead"}  # of a process that a verb is for
+REQUIRED_STATE: dict[str, State] = {"kill": "running", "pause": "awake", "resume": "paused", "restart": "dead"}  # of a process, for a verb
 
 log = logging.getLogger(__name__)
 
@@ -45,26 +45,26 @@ class Operations:
         self._links = Links(scenario.run.seed, list(scenario.members))
         self._rng = np.random.default_rng()  # of commands by hand only; those of the scenario are drawn from its seed
 
-    def carry_out_due(self, time: float) -> None:
+    def run_due_faults(self, time: float) -> None:
         """The world's time, s, has moved on: carry out the faults of the scenario that are due."""
         for action in self._schedule.due(time, self._agents("running"), self._agents("dead"), list(self._children)):
             try:
                 if action.verb == REFUSED:
                     raise BadSetting(action.options["why"])
-                if action.verb in STATES:  # whoever has died meanwhile, or has been resumed by hand, is passed over, as in a simulation
-                    action = action._replace(names=[name for name in action.names if self._children[name].is_in(STATES[action.verb])])
+                if state := REQUIRED_STATE.get(action.verb):  # processes that have died or gone on since are left out, as in a simulation
+                    action = action._replace(names=[name for name in action.names if self._children[name].is_in(state)])
                 self.act(action)
             except BadSetting as error:
                 self._tell(f"a fault of the scenario could not be carried out: {error}")
 
-    def carry_out(self, request: dict[str, Any]) -> str:
+    def run_request(self, request: dict[str, Any]) -> str:
         """Carry out a request of the control socket; a line that says what was done."""
         verb, who, scenario = str(request.get("verb", "")), str(request.get("who", "")), self._scenario
         fault = FaultSettings(at=0.0, verb=verb, who=who, value=request.get("value"), options=request.get("options") or {})
         members = [*scenario.members]
         check_fault(fault, "", members, [*members, *world_names(scenario)], live=True, link_faults=scenario.network.link_faults)
-        self.notice_pauses()
-        candidates = self._agents(STATES.get(verb, "running"))
+        self.take_signals_from_outside()
+        candidates = self._agents(REQUIRED_STATE.get(verb, "running"))
         names = choose(who, candidates, list(self._children), self._rng) if who else candidates
         return self.act(Action(plain_verb(verb), names, fault.value, fault.options))
 
@@ -78,9 +78,9 @@ class Operations:
                 raise BadSetting(f"{name} has not been started yet: the run still starts; try again in a second")
             if verb != "restart" and not self._children[name].is_running:
                 raise BadSetting(f"{name} is not running; `covey restart {name}` brings it back")
-            if verb in ("pause", "resume") and not self._children[name].is_in(STATES[verb]):
+            if verb in ("pause", "resume") and not self._children[name].is_in(REQUIRED_STATE[verb]):
                 raise BadSetting(f"{name} is {'not paused' if verb == 'resume' else 'paused already'}")
-        self.note_pauses(verb, [name for name in names if self._children[name].is_running])
+        self.tell_scorer(verb, [name for name in names if self._children[name].is_running])
         for name in names:
             child = self._children[name]
             if verb == "restart":
@@ -93,7 +93,7 @@ class Operations:
         self._tell(text)
         return text
 
-    def note_pauses(self, verb: str, names: list[str]) -> None:
+    def tell_scorer(self, verb: str, names: list[str]) -> None:
         """Tell the scorer which agents are paused on request: a paused agent whose token is lost has not died."""
         if verb in ("pause", "resume") or self._scorer.deaths.paused.intersection(names):
             self._scorer.note_fault(verb, f"{verb} {', '.join(names)}", ",".join(names), asyncio.get_running_loop().time())
@@ -146,10 +146,10 @@ class Operations:
         """Names of the agents in a state."""
         return [name for name in self._scenario.members if self._children[name].is_in(state)]
 
-    def notice_pauses(self) -> None:
-        """A process that was stopped by a signal from outside is paused as well."""
+    def take_signals_from_outside(self) -> None:
+        """Note and tell which processes a signal from outside has stopped, and which it has let go on."""
         for child in self._children.values():
             if verb := child.look():
-                self.note_pauses(verb, [child.name])
-                helps = f"has been stopped from outside; `covey resume {child.name}` lets it go on"
-                self._tell(f"{child.name} {helps if verb == 'pause' else 'goes on, told from outside'}")
+                self.tell_scorer(verb, [child.name])
+                text = f"has been stopped from outside; `covey resume {child.name}` lets it go on"
+                self._tell(f"{child.name} {text if verb == 'pause' else 'goes on, told from outside'}")

@@ -138,7 +138,7 @@ class Supervisor:
         while not self._over.done():
             await asyncio.wait([self._over], timeout=0.5)
             self._reap()  # in case a signal was merged with another
-            self.operations.notice_pauses()
+            self.operations.take_signals_from_outside()
             for child in self.children.values():
                 child.write_what_waits()
             self._end_standstill()
@@ -268,7 +268,7 @@ class Supervisor:
             why = self._start.waiting() if child.name == "world" else f"{child.name} died: {child.end()}"
             self._fail(BadSetting(f"{why}; --strict refuses to start with fewer than {len(self.scenario.members)} agents"))
         self._start.expect()
-        self.operations.note_pauses("kill", [child.name])
+        self.operations.tell_scorer("kill", [child.name])
         words = f"{child.name} died: {child.end()}"
         if child.crashed or child.returncode == EXIT_BAD_INPUT:
             self.crashed.append(child.name)
@@ -302,7 +302,7 @@ class Supervisor:
             log.info("the first tick", extra={"seconds": round(self._first_truth_at - self._started_at, 3)})
             if complaint := self._start.check(truth):
                 self._warn(complaint)
-        self.operations.carry_out_due(truth.time)
+        self.operations.run_due_faults(truth.time)
 
     def _on_twin(self, name: str, known: int, other: int) -> None:
         """Warn about two processes of one name, unless the younger one was just started here in place of a killed one."""
@@ -332,7 +332,7 @@ class Supervisor:
             case "down":
                 self._end(0)
                 return {"ok": "going down"}
-        return {"ok": self.operations.carry_out(request)}
+        return {"ok": self.operations.run_request(request)}
 
     def status(self) -> dict[str, Any]:
         """The data of `ps` and `watch`: the scores of the swarm, and every process."""

@@ -1,4 +1,4 @@
-"""Running the open trials of a study, and showing how far it is."""
+"""Runs the trials that the folder of a study lacks, and shows how far the study is."""
 
 import math
 import os
@@ -60,20 +60,20 @@ def _run(
         compile_once()
     shares = shared_progress(len(trials))
     engine = on_a_cluster(todo, scheduler, play) if scheduler else on_this_machine(todo, min(workers, len(todo)), shares, play)
-    ahead = RemainingWork(trials, todo, shares)
+    work = RemainingWork(trials, todo, shares)
     try:
-        with _exits_on_sigterm(), closing(engine), _bar(console, len(trials), ahead) as show_progress:
-            _follow(engine, folder, trials, keys, ahead, show_progress)
+        with _exits_on_sigterm(), closing(engine), _bar(console, len(trials), work) as bar:
+            _follow(engine, folder, trials, keys, work, bar)
     except TrialFailed as error:
         raise BadSetting(f"a trial failed, those that are done are kept: {error}") from error
     except KeyboardInterrupt:
-        console.print(f"stopped; {ahead.finished} of {len(trials)} trials are kept in {folder.path}, the same command goes on")
+        console.print(f"stopped; {work.finished} of {len(trials)} trials are kept in {folder.path}, the same command goes on")
         raise
 
 
 @contextmanager
 def _exits_on_sigterm() -> Iterator[None]:
-    """Meanwhile SIGTERM raises SystemExit, so that workers are ended on the way out. In a thread it does what it did before."""
+    """Meanwhile SIGTERM raises SystemExit, so that workers are ended on the way out. Outside of the main thread nothing changes."""
     if threading.current_thread() is not threading.main_thread():  # Python lets no other thread set a handler
         yield
         return
@@ -85,17 +85,17 @@ def _exits_on_sigterm() -> Iterator[None]:
 
 
 def _follow(
-    engine: FinishedTrials, folder: StudyFolder, trials: Sequence[Job], keys: Sequence[str], ahead: "RemainingWork", tell: "ProgressBar"
+    engine: FinishedTrials, folder: StudyFolder, trials: Sequence[Job], keys: Sequence[str], work: "RemainingWork", bar: "ProgressBar"
 ) -> None:
     """Keep the rows that come; `keys` are those of the trials when the study began. Raises BadSetting for a row of another key."""
     for rows in engine:
         for number, row in rows:
             if row["key"] != keys[number]:
                 changed = _what_changed(trials[number], keys[number], row["code"])
-                raise BadSetting(f"{changed}; {ahead.finished} of {len(trials)} trials are kept")
+                raise BadSetting(f"{changed}; {work.finished} of {len(trials)} trials are kept")
             folder.add(row)
-            ahead.finish(number)
-        tell.show()
+            work.finish(number)
+        bar.show()
 
 
 def _what_changed(trial: Job, key: str, code: str) -> str:
@@ -133,7 +133,7 @@ class RemainingWork:
         left = sum(self._costs[number] * (1.0 - self._shares[number]) for number in self._open)
         return 1.0 - left / sum(self._costs.values())
 
-    def seconds(self) -> float | None:
+    def seconds_left(self) -> float | None:
         """Estimated s that are left; None before there are enough data."""
         share = self.share()
         return None if share < 0.01 or self.elapsed() < 2.0 else remaining(share, self.elapsed())
@@ -148,7 +148,7 @@ def remaining(share: float, elapsed: float) -> float:
     return elapsed * (1.0 - share) / share
 
 
-def words(seconds: float) -> str:
+def duration_text(seconds: float) -> str:
     """A duration as people say it, rounded up: 45 s, 12 min, 3 h 20 min."""
     if seconds < 90.0:
         return f"{max(1, math.ceil(seconds))} s"
@@ -159,27 +159,27 @@ def words(seconds: float) -> str:
 class ProgressBar:
     """Shows the progress of a study: a bar in a terminal, a line from time to time elsewhere."""
 
-    def __init__(self, console: Console, ahead: RemainingWork, total: int, progress: Progress | None) -> None:
-        self._console, self._ahead, self._total, self._progress = console, ahead, total, progress
-        self._task: TaskID | None = progress.add_task("", total=total, completed=ahead.finished) if progress else None
+    def __init__(self, console: Console, work: RemainingWork, total: int, progress: Progress | None) -> None:
+        self._console, self._work, self._total, self._progress = console, work, total, progress
+        self._task: TaskID | None = progress.add_task("", total=total, completed=work.finished) if progress else None
         self._said_at = -PLAIN_PERIOD
 
     def show(self) -> None:
         """Show how far it is now."""
-        left = self._ahead.seconds()
-        text = f"about {words(left)} left" if left is not None else "estimating"
+        left = self._work.seconds_left()
+        text = f"about {duration_text(left)} left" if left is not None else "estimating"
         if self._progress and self._task is not None:
-            self._progress.update(self._task, completed=self._ahead.finished, description=text)
+            self._progress.update(self._task, completed=self._work.finished, description=text)
         elif time.monotonic() - self._said_at >= PLAIN_PERIOD:
             self._said_at = time.monotonic()
-            done = f"{self._ahead.finished} of {self._total} trials, {self._ahead.running()} running"
-            self._console.print(f"{done}, {self._ahead.elapsed():.0f} s so far, {text}", soft_wrap=True)
+            done = f"{self._work.finished} of {self._total} trials, {self._work.running()} running"
+            self._console.print(f"{done}, {self._work.elapsed():.0f} s so far, {text}", soft_wrap=True)
 
 
 @contextmanager
-def _bar(console: Console, total: int, ahead: RemainingWork) -> Iterator[ProgressBar]:
+def _bar(console: Console, total: int, work: RemainingWork) -> Iterator[ProgressBar]:
     """A bar while it is on the screen."""
     columns = (BarColumn(), MofNCompleteColumn(), TextColumn("{task.description}"))
     progress = Progress(*columns, console=console, transient=True) if console.is_terminal else None
     with progress or nullcontext():
-        yield ProgressBar(console, ahead, total, progress)
+        yield ProgressBar(console, work, total, progress)

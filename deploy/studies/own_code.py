@@ -28,7 +28,10 @@ def own_code(scenario: Scenario) -> str:
 
 
 def own_files(scenario: Scenario) -> list[Path]:
-    """Of each class the named module, and the one that it comes from; what they import, and so on; files that are parameters of sensors."""
+    """The files of the user's modules that define the classes of a scenario, of all that these import, and in `parameters` of sensors.
+
+    A file in `parameters` is looked for from the current folder.
+    """
     given = [value for sensor in scenario.sensors.values() for value in sensor.parameters.values()]
     found = {Path(value) for value in given if isinstance(value, str) and isfile(value)}
     waiting: list[tuple[Path, str]] = []  # a file, and the package that it belongs to
@@ -41,7 +44,7 @@ def own_files(scenario: Scenario) -> list[Path]:
         file, package = waiting.pop()
         if file not in found:
             found.add(file)
-            waiting += [part for name in _imported(file.read_bytes(), package) for part in _files(name)]
+            waiting += [entry for name in _imported(file.read_bytes(), package) for entry in _module_files(name)]
     return sorted(found)
 
 
@@ -59,7 +62,7 @@ def _imported(source: bytes, package: str) -> list[str]:
     return names
 
 
-def _files(module: str) -> Iterator[tuple[Path, str]]:
+def _module_files(module: str) -> Iterator[tuple[Path, str]]:
     """The files of a user's module and of the packages around it, each with its package. Nothing is imported."""
     folders: list[str] | None = None
     for number in range(1, module.count(".") + 2):

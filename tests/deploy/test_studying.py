@@ -19,7 +19,7 @@ from deploy.cli.study import console_of, run_study
 from deploy.installation import ROOT, environment
 from deploy.studies.design import Design, design_fields, design_with, dotted_options
 from deploy.studies.engines import FinishedTrials, Numbered, TrialFailed, _harvest, on_a_cluster, on_this_machine, shared_progress
-from deploy.studies.open_trials import ProgressBar, RemainingWork, _exits_on_sigterm, _follow, remaining, words
+from deploy.studies.open_trials import ProgressBar, RemainingWork, _exits_on_sigterm, _follow, duration_text, remaining
 from deploy.studies.results import StudyFolder
 from deploy.studies.trials import Row, Trial, run_trial
 from protocol.settings import BadSetting
@@ -218,4 +218,4 @@ def test_the_share_that_is_done_counts_running_trials_by_their_cost() -> None:
 
 @pytest.mark.parametrize(("seconds", "text"), [(0.2, "1 s"), (44.1, "45 s"), (100.0, "2 min"), (3600.0, "60 min"), (12000.0, "3 h 20 min")])
 def test_durations_in_words(seconds: float, text: str) -> None:
-    assert words(seconds) == text
+    assert duration_text(seconds) == text

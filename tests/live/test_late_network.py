@@ -43,7 +43,7 @@ TUNSETIFF, IFF_TUN, IFF_NO_PI = 0x400454CA, 0x0001, 0x1000
 AGENTS = tuple(f"s{number}" for number in range(1, 9))
 SECONDS, DT = 45.0, 0.5
 LATE = 1.2  # s
-SETTLED = 25.0  # s of world time, until when agents find each other and measure how late messages are
+SETTLED = 25.0  # s of world time; by then the agents have found each other and measured the lag
 OPTIONS = ("--team", "A2,C4,D2", "--targets", "8", "--set", "arena.width=50", "--set", "arena.height=50", "--dt", str(DT), "--rate", "1")
 
 
@@ -79,16 +79,16 @@ class LateNetwork:
             self.processes[name] = subprocess.Popen(command, env=environment, stdin=subprocess.DEVNULL, stdout=log, stderr=log)
 
     def play(self, seed: int) -> list[Score]:
-        """Run a swarm until its world ends; the scores of its recording."""
+        """Write the configurations, run a swarm until its world ends, and score its recording."""
         options = (*OPTIONS, "--seconds", str(SECONDS), "--seed", str(seed), "--run", "late", "--set", "network.insecure=true")
         seeds = (self.endpoint("world"), self.endpoint("s1"))
-        found = {"listen": [self.endpoint("recorder")], "seeds": seeds}
-        dialled = [word for key, value in found.items() for word in ("--set", f"network.{key}={json.dumps(value)}")]
-        for file, words in (("run.toml", ()), ("agents.toml", ("--agents",)), ("recorder.toml", dialled)):
+        recorder_network = {"listen": [self.endpoint("recorder")], "seeds": seeds}
+        recorder_options = [word for key, value in recorder_network.items() for word in ("--set", f"network.{key}={json.dumps(value)}")]
+        for file, words in (("run.toml", ()), ("agents.toml", ("--agents",)), ("recorder.toml", recorder_options)):
             command = [sys.executable, "-P", "-m", "deploy", "config", "efficacy", *options, "--set", "timing.look_ahead=2.5", *words]
             text = subprocess.run(command, env={**os.environ, "PYTHONPATH": str(ROOT)}, check=True, capture_output=True).stdout
             (self.folder / file).write_bytes(text)
-        # over UDP nobody refuses a call, so who dials a process that has not started waits for a minute: the world comes first
+        # UDP has no "connection refused": a process that dials one that is not running yet tries again after a minute
         for name in ("world", *AGENTS):
             config = self.folder / ("run.toml" if name == "world" else "agents.toml")
             role = ("world",) if name == "world" else ("agents", "--name", name)
@@ -106,7 +106,7 @@ class LateNetwork:
         for device in names:
             poll.register(device, select.EPOLLIN)
         devices = {bytes(map(int, address.split("."))): self._devices[name] for name, address in self.addresses.items()}
-        waiting: list[tuple[float, int, int, bytes]] = []  # a heap: due at, s; number of the packet; device; packet
+        waiting: list[tuple[float, int, int, bytes]] = []  # a heap: due at, s; number of the packet, which keeps the order; device; packet
         number = 0
         while not self._removed.is_set():
             now = time.monotonic()

@@ -79,7 +79,7 @@ def scenario(
     loss, delay
         Share of the messages between agents that is lost, and how many s they are late.
     rate
-        World seconds per second, without waiting for late agents; default: the world waits for every agent, or what a Scenario says.
+        World seconds per second, without waiting for late agents; default: lockstep; a Scenario keeps its own clock.
     settings
         Any setting by its dotted name, such as {"detection.clutter": 0.5}. Your own motions and platforms are named here, as texts
         "module:Class".
