@@ -5,9 +5,11 @@ import time
 from collections.abc import Callable, Iterator
 from typing import TypeVar
 
+import numpy as np
+
 from protocol.message import Vector
 from protocol.sensing import Pose
-from protocol.settings import BadSetting
+from protocol.settings import BadSetting, sensor_of
 from world.config import WorldConfig
 from world.platform import Platform, build_platform
 
@@ -50,6 +52,11 @@ def check_platform(name: str, config: WorldConfig) -> Iterator[tuple[str, bool]]
         trial.tick += 8
         trial.read()
         yield "ticks may be left out", True
+        if trial.ranges:
+            reach, number = sensor_of(config, config.members[name]).reach, len(trial.ranges)
+            beyond = sum(distance > reach for distance in trial.ranges)
+            rule = f"detections lie within the reach of its sensor, {reach:g} m"
+            yield f"{rule}: {beyond} of {number} do not, the farthest is {max(trial.ranges):.1f} m away", 2 * beyond <= number
         yield f"no call takes longer than {1000 * SLOW:.0f} ms: the longest took {1000 * trial.longest:.1f} ms", trial.longest <= SLOW
     finally:
         platform.stop()
@@ -65,11 +72,14 @@ class _Trial:
 
     def __init__(self, platform: Platform, dt: float) -> None:
         self.tick, self.longest = 0, 0.0
+        self.ranges: list[float] = []  # m from the robot to each detection
         self._platform, self._dt = platform, dt
 
     def read(self) -> Pose:
         """The pose of this tick."""
-        pose, _ = self._timed(lambda: self._platform.read(self.tick))
+        pose, detections = self._timed(lambda: self._platform.read(self.tick))
+        if isinstance(detections, np.ndarray):
+            self.ranges += np.hypot(*(detections.astype(float) - pose[:2]).T).tolist()
         return pose
 
     def stop(self) -> None:

@@ -221,6 +221,22 @@ class Degrees(Ideal):
         return (x, y, math.degrees(heading)), None
 
 
+class Centimetres(Ideal):
+    """It finds a target 2 m east of it, and says that it is at 200 m."""
+
+    def read(self, tick: int) -> Any:
+        pose, _ = super().read(tick)
+        return pose, np.array([[pose[0] + 200.0, pose[1]]])
+
+
+class Sees(Ideal):
+    """It finds a target 2 m east of it."""
+
+    def read(self, tick: int) -> Any:
+        pose, _ = super().read(tick)
+        return pose, np.array([[pose[0] + 2.0, pose[1]]])
+
+
 class SlowToStop(Ideal):
     def stop(self) -> None:
         threading.Event().wait(0.03)
@@ -237,9 +253,11 @@ class SlowToStop(Ideal):
         (BodyFrame, ["driven north"]),
         (Degrees, ["told to turn"]),
         (SlowToStop, ["no call take"]),
+        (Sees, []),
+        (Centimetres, ["detections l"]),
     ],
 )
-def test_the_contract_is_broken_by_a_robot_that_takes_a_direction_for_another_or_is_slow(
+def test_the_contract_is_broken_by_a_robot_that_takes_a_direction_or_a_unit_for_another_or_is_slow(
     robot: type[Ideal], broken: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(time, "sleep", lambda seconds: None)
