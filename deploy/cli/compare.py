@@ -4,6 +4,8 @@ import asyncio
 import contextlib
 import logging
 
+from deploy.cli.errors import tell_remarks
+from deploy.cli.scenario_checks import simulation_remarks
 from deploy.cli.terminal import open_browser, stop_event
 from deploy.page.address import address_of
 from deploy.page.comparison import SPEEDS, ComparisonSource
@@ -25,6 +27,7 @@ def compare(one: Scenario, other: Scenario, page: bool | str, speed: float, open
         raise BadSetting("--no-page: a comparison is seen on its page alone; `covey simulate` gives figures without one")
     if not SPEEDS[0] <= speed <= SPEEDS[1]:
         raise BadSetting(f"--speed {speed:g}: should be a number from {SPEEDS[0]:g} to {SPEEDS[1]:g}")
+    tell_remarks(simulation_remarks(one, "lockstep"))
     compile_once()
     sides = SimulatedSwarm(first, with_deaths(one)), SimulatedSwarm(second, with_deaths(other))
     server = PageServer(ComparisonSource(sides, speed), address)

@@ -16,6 +16,7 @@ from deploy.cli.start import other_law
 from deploy.page.comparison import ComparisonSource
 from deploy.page.frames import frame, greeting
 from deploy.page.picture import Picture
+from deploy.page.server import PageServer
 from deploy.page.simulated_swarm import SimulatedSwarm
 from deploy.page.source import LiveSource
 from deploy.scenario import FaultSettings, resolve, with_deaths
@@ -144,6 +145,18 @@ def test_a_scenario_is_not_compared_with_itself() -> None:
 def test_a_comparison_needs_a_page_and_a_speed(page: bool, speed: float, complaint: str) -> None:
     with pytest.raises(BadSetting, match=complaint):
         compare(resolve("quick", {}), resolve("quick", {"partition.kind": "voronoi"}), page, speed, False)
+
+
+def test_a_comparison_names_the_faults_that_change_nothing(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    async def serve_for_a_moment(server: PageServer) -> None:
+        await server.open()
+        await server.close()
+
+    monkeypatch.setattr("deploy.cli.compare._serve", serve_for_a_moment)
+    late = (FaultSettings(at=0.0, verb="delay", who="", value=0.5),)
+    one, other = (msgspec.structs.replace(resolve("quick", {"partition.kind": kind}), faults=late) for kind in ("power", "voronoi"))
+    assert compare(one, other, "0", 2.0, False) == 0
+    assert "delay" in capsys.readouterr().err
 
 
 def live_beside_simulated(directory: Path) -> tuple[LiveSource, Simulation, SimulatedSwarm]:
