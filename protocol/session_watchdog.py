@@ -12,11 +12,17 @@ from protocol.messages import Gossip, Hello
 from protocol.node import NO_EFFECTS, Alive, Effect, Event, Gone, Received, Reopen
 
 HEARD_LATELY = 3.0  # s since the last message; agents send a Hello every 2 s, in crowds every 4 s
-PATIENCE = 5.0  # s for which a sign must last before it is an alarm
+LISTED_LATELY = 5.0  # s since the last Hello that listed a name
+PATIENCE = 5.0  # s for which a sign must last before it is an alarm, at least; the lease of the links, if that is longer
 FIRST_REST, LONGEST_REST = 20.0, 320.0  # s between two alarms, at first and at most
 MOST_GUESTS = 4096  # agents with a token that are not expected: anybody can make up names
 
 NEVER = -float("inf")
+
+
+def patience_of(lease: float) -> float:
+    """For how long a sign must last, s. A link that became slow may be silent for its `lease`, and a new session would be as slow."""
+    return max(PATIENCE, lease)
 
 
 class AlarmRest:
@@ -40,9 +46,9 @@ class SessionWatchdog:
     Times are `now` of that node, s. A clock that jumps delays an alarm and raises none.
     """
 
-    def __init__(self, name: str, expected: Iterable[str]) -> None:
-        """`expected`: the names that can count as silent."""
-        self._name, self._expected = name, tuple(expected)
+    def __init__(self, name: str, expected: Iterable[str], lease: float) -> None:
+        """`expected`: the names that can count as silent; `lease`: s for which a link may be silent."""
+        self._name, self._expected, self._patience = name, tuple(expected), patience_of(lease)
         self._words: dict[str, float] = {}  # name -> time of its last message
         self._up: dict[str, int] = {}  # name -> youngest incarnation with a token that has been seen
         self._lost: dict[str, float | None] = {}  # name without a token -> time since which its Hellos arrive all the same
@@ -110,7 +116,7 @@ class SessionWatchdog:
         since = self._lost[name]
         if since is None or since > now:
             since = self._lost[name] = now
-        late = now - since >= PATIENCE and self._rest.is_over(now)
+        late = now - since >= self._patience and self._rest.is_over(now)
         return f"{name} speaks, but its token has gone" if late else ""
 
     def _silent(self, hello: Hello, now: float) -> str:
@@ -135,7 +141,7 @@ class SessionWatchdog:
 
     def _is_split(self, name: str, hello: Hello, now: float) -> bool:
         """Note whether a Hello lists a silent name; True when enough peers have listed it for long enough."""
-        lists = {other: when for other, when in self._listed_by.get(name, {}).items() if now - when <= PATIENCE}
+        lists = {other: when for other, when in self._listed_by.get(name, {}).items() if now - when <= LISTED_LATELY}
         if not lists:
             self._since[name] = now  # no peer has listed it lately
         if name in hello.heard:
@@ -146,7 +152,7 @@ class SessionWatchdog:
         if not lists:
             del self._listed_by[name], self._since[name]
             return False
-        if now - self._since[name] < PATIENCE or not self._rest.is_over(now):
+        if now - self._since[name] < self._patience or not self._rest.is_over(now):
             return False
         voters = sum(now - self._words.get(other, NEVER) <= HEARD_LATELY for other in self._voters if other != name)
         return 2 * len(lists) >= voters
@@ -155,11 +161,14 @@ class SessionWatchdog:
 class ListenerWatchdog:
     """The watchdog of a participant that says no Hello: a body, a scorer, a recorder. Half a session shows it living agents as dead."""
 
-    def __init__(self, members: Iterable[str]) -> None:
-        """`members`: the agents that are expected. Others count once their token has been seen, for anybody can make up names."""
+    def __init__(self, members: Iterable[str], lease: float) -> None:
+        """`members`: the agents that are expected. Others count once their token has been seen, for anybody can make up names.
+
+        `lease`: s for which a link may be silent.
+        """
         self._agents = set(members)
         self._guests: dict[str, None] = {}  # other agents that had a token, the earliest first
-        self._watchdog = SessionWatchdog("this session", self._agents)
+        self._watchdog = SessionWatchdog("this session", self._agents, lease)
 
     def take(self, event: Event, now: float) -> list[Effect]:
         """Take an event; a `Reopen` if the Hellos in it say that the own session is half open."""

@@ -65,7 +65,7 @@ class Body(Node):
         epoch = config.bodies.epoch if not self._lockstep else 0.0
         self._clock = TickClock(self._period, epoch - unix if epoch else None)
         self._count = TickCount()
-        self._watchdog = ListenerWatchdog(config.members)
+        self._watchdog = ListenerWatchdog(config.members, config.network.lease)
         self._body_tokens = Presence()
         self._alive: dict[str, set[str]] = {"agent": set(), "body": {name}}  # by role: names with a token
         self._others: dict[str, Pose] = {}  # where the other bodies said last that they are

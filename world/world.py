@@ -60,7 +60,7 @@ class World(Node):
         self.rejected_messages = 0
         self.re_anchored = 0  # real time: how often the world was too late to catch up
         self._config, self._presence = config, Presence(config.members)
-        self._watchdog = SessionWatchdog(self.name, config.members)
+        self._watchdog = SessionWatchdog(self.name, config.members, config.network.lease)
         self._lockstep = config.run.clock == "lockstep"
         self._period = config.run.dt / config.run.rate
         max_rate = config.run.max_rate if self._lockstep else 0.0

@@ -69,7 +69,8 @@ class InterestManager:
         self.known_area: Rectangle | None = None  # the rectangle in which all agents are known; None: nowhere yet
         self._known_areas_from: list[tuple[int, Rectangle]] = []  # ticks from which on larger rectangles are known, the earliest first
         self._chosen_at = 0
-        self._link_detector, self._world_link_detector = HalfOpenLinkDetector(context.name, 2 * self._period), WorldLinkDetector()
+        self._link_detector = HalfOpenLinkDetector(context.name, 2 * self._period, config.network.lease)
+        self._world_link_detector = WorldLinkDetector(config.network.lease)
         self._last_interest_set: dict[str, Peer] = {}  # the interest set of the last selection
         self._lingering: dict[str, int] = {}  # by name of a peer that is subscribed still: the tick in which it was last needed
         self._token_names: set[str] = set()  # the peers to whose tokens the agent subscribes

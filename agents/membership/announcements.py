@@ -11,7 +11,8 @@ REPLY_DELAY = 0.05  # s between the appearance of a new peer and a Hello
 EARLY_CROWD = 12  # above this number of peers early Hellos become rarer
 REPLY_CROWD = 24  # above this number of peers `REPLY_DELAY` grows with it, so that the Hellos of all get through
 EARLY_PERIOD, LATER_PERIOD = 0.25, 2.0  # s between Hellos: while a sensor is unknown or nothing has been observed, and later
-LONGEST_PERIOD = 4.0  # s between Hellos in a large swarm; a second below `session_watchdog.PATIENCE`, for which the names in a Hello hold
+# s between Hellos in a large swarm; a second below `session_watchdog.LISTED_LATELY`, for which the names in a Hello hold
+LONGEST_PERIOD = 4.0
 LATER_CROWD = 48  # above this number of peers the later rhythm slows down as well
 
 

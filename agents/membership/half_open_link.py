@@ -12,7 +12,7 @@ from collections.abc import Callable, Collection, Iterable
 from typing import NamedTuple
 
 from protocol.messages import Gossip
-from protocol.session_watchdog import NEVER, PATIENCE, AlarmRest
+from protocol.session_watchdog import NEVER, AlarmRest, patience_of
 
 Place = tuple[float, float]  # x, y, m
 
@@ -27,9 +27,9 @@ class Beginning(NamedTuple):
 class HalfOpenLinkDetector:
     """The unheard peers that the claims of neighbours name, and since when."""
 
-    def __init__(self, name: str, timeout: int) -> None:
-        """`timeout`: ticks for which a peer must be named. `PATIENCE` s of `now` must pass as well: in lockstep ticks are short."""
-        self._name, self._timeout = name, timeout
+    def __init__(self, name: str, timeout: int, lease: float) -> None:
+        """`timeout`: ticks for which a peer must be named. `patience_of(lease)` s of `now` must pass as well: lockstep ticks are short."""
+        self._name, self._timeout, self._patience = name, timeout, patience_of(lease)
         self._named: dict[str, Beginning] = {}
         self._rest = AlarmRest()
 
@@ -49,7 +49,7 @@ class HalfOpenLinkDetector:
             if is_covered(_place(gossip, name))
         }
         self._named = named
-        late = [name for name, since in named.items() if tick - since.tick >= self._timeout and now - since.now >= PATIENCE]
+        late = [name for name, since in named.items() if tick - since.tick >= self._timeout and now - since.now >= self._patience]
         if not late or not self._rest.is_over(now):
             return ""
         self._named = {}
@@ -63,15 +63,16 @@ class WorldLinkDetector:
     In a swarm that hears everybody, Hellos show this (`protocol.session_watchdog`).
     """
 
-    def __init__(self) -> None:
-        self._since = Beginning(-1, NEVER)
+    def __init__(self, lease: float) -> None:
+        """`lease`: s for which a link may be silent."""
+        self._since, self._patience = Beginning(-1, NEVER), patience_of(lease)
         self._rest = AlarmRest()
 
     def should_reopen(self, tick: int, now: float) -> bool:
         """Note that a gossip is more than one tick ahead of the own `tick`; whether the session is to be opened anew."""
         if tick != self._since.tick or now < self._since.now:
             self._since = Beginning(tick, now)
-        if now - self._since.now < PATIENCE or not self._rest.is_over(now):
+        if now - self._since.now < self._patience or not self._rest.is_over(now):
             return False
         self._rest.begin(now)
         return True

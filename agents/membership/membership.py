@@ -25,7 +25,8 @@ class Membership:
     def __init__(self, context: AgentContext, peer_table: PeerTable, counters: Counter[str]) -> None:
         """`counters`: those of the agent."""
         others, neighbours_only = context.config.others(context.name), peer_table.neighbours_only
-        self.session_watchdog = SessionWatchdog(context.name, ["world"] if neighbours_only else [*others, "world"])
+        watched = ["world"] if neighbours_only else [*others, "world"]
+        self.session_watchdog = SessionWatchdog(context.name, watched, context.config.network.lease)
         self.announcements = AnnouncementSchedule(0 if neighbours_only else len(others), peer_table.is_roster_alive)
         self.world_incarnation = 0
         self._warned: set[tuple[str, int]] = set()  # names and incarnations of older peers

@@ -53,7 +53,7 @@ class Bridge:
         self._client = Participant(network, run, options.agent)
         self._limit, self._box = rules.turn_rate, rules.box
         self.body = RobotBody(rules, self._client.incarnation, self._client.say, self._client.appear)
-        self._watchdog = BridgeWatchdog(rules.expected)
+        self._watchdog = BridgeWatchdog(rules.expected, network.lease)
         self._axle = Odometry()  # of the robot, in the arena's frame
         self._frames: tuple[str, str] | None = None  # names of the odometry's frame and of the robot's own, once it has said them
         self._foreign: set[str] = set()  # other frames that scans have named

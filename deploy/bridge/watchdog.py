@@ -9,7 +9,8 @@ from typing import Any
 from deploy.bridge.client import Heard
 
 HEARD_LATELY = 3.0  # s since the last message
-PATIENCE = 5.0  # s for which a sign must last
+LISTED_LATELY = 5.0  # s since the last Hello that listed a name
+PATIENCE = 5.0  # s for which a sign must last, at least; the lease of the links, if that is longer
 FIRST_REST, LONGEST_REST = 20.0, 320.0  # s between two alarms, doubled each time
 MOST_GUESTS = 4096  # agents with a token that are not expected: anybody can make up names
 
@@ -19,8 +20,9 @@ NEVER = -float("inf")
 class BridgeWatchdog:
     """What the Hellos of the agents say about the own session. Others than the expected agents count once they have a token."""
 
-    def __init__(self, expected: Iterable[str]) -> None:
-        self._expected = frozenset(expected)
+    def __init__(self, expected: Iterable[str], lease: float) -> None:
+        """`lease`: s for which a link may be silent."""
+        self._expected, self._patience = frozenset(expected), max(PATIENCE, lease)
         self._guests: dict[str, None] = {}  # other agents that had a token, the earliest first
         self._words: dict[str, float] = {}  # name -> when its last message came
         self._hellos: dict[str, tuple[frozenset[str], float]] = {}  # name -> whom its last Hello lists, and when it came
@@ -65,13 +67,13 @@ class BridgeWatchdog:
         """The first sign that has lasted, upon a Hello."""
         if self._tokens.get(sender) == set():
             self._tokenless.setdefault(sender, now)
-        voters = [listed for voter, (listed, when) in self._hellos.items() if self._is_heard(voter, now) and now - when <= PATIENCE]
+        voters = [listed for voter, (listed, when) in self._hellos.items() if self._is_heard(voter, now) and now - when <= LISTED_LATELY]
         missed = [name for name in sorted(frozenset().union(*voters)) if self._counts(name) and self._is_missed(name, voters, now)]
         self._missed = {name: self._missed.get(name, now) for name in missed}
         signs = [(since, f"the others hear {name}, this session does not") for name, since in self._missed.items()]
         if sender in self._tokenless:
             signs.append((self._tokenless[sender], f"{sender} speaks, but its token has gone"))
-        lasting = [sign for since, sign in signs if now - since >= PATIENCE]
+        lasting = [sign for since, sign in signs if now - since >= self._patience]
         if not lasting or now < self._not_before:
             return ""
         self._not_before, self._rest = now + self._rest, min(2.0 * self._rest, LONGEST_REST)

@@ -215,7 +215,7 @@ class RecorderNode(Node):
         self.run, self.name = scenario.run.name, name
         self._recorder = recorder
         self._witness = witness_of(scenario, "monitor", self.incarnation)
-        self._watchdog = ListenerWatchdog(scenario.members)
+        self._watchdog = ListenerWatchdog(scenario.members, scenario.network.lease)
         self._due: float | None = None
 
     def deadline(self) -> float | None:

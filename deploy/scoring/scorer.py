@@ -90,7 +90,7 @@ class Scorer(Node):
         self._scenario = scenario
         self._bodies = bodies_of(scenario)
         self._witness = None if recorded else witness_of(scenario, name, incarnation)
-        self._watchdog = ListenerWatchdog(scenario.members)
+        self._watchdog = ListenerWatchdog(scenario.members, scenario.network.lease)
         self._area = scenario.arena.width * scenario.arena.height
         self._coverage = Coverage(scenario)
         self.tracks = TrackLog(scenario)

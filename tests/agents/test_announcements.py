@@ -5,7 +5,7 @@ from itertools import pairwise
 import pytest
 
 from agents.membership.announcements import REPLY_CROWD, REPLY_DELAY, AnnouncementSchedule
-from protocol.session_watchdog import PATIENCE
+from protocol.session_watchdog import LISTED_LATELY
 
 
 def moments(peers: int, early: bool, until: float) -> list[float]:
@@ -23,7 +23,7 @@ def moments(peers: int, early: bool, until: float) -> list[float]:
 def test_greetings_become_rarer_in_a_crowd_but_not_too_rare_for_the_watchdog(peers: int, apart: float) -> None:
     said = moments(peers, early=False, until=60.0)
     assert [after - before for before, after in pairwise(said)] == pytest.approx([apart] * (len(said) - 1))
-    assert len(said) > 10 and apart < PATIENCE
+    assert len(said) > 10 and apart < LISTED_LATELY
 
 
 def test_while_somebody_is_unknown_greetings_are_more_frequent() -> None:
@@ -51,4 +51,4 @@ def test_a_clock_that_jumps_back_does_not_silence_greetings() -> None:
     greetings = AnnouncementSchedule(3, lambda: True)
     greetings.start(1000.0)
     greetings.observation_arrived(10.0)
-    assert greetings.due is not None and greetings.due <= 10.0 + PATIENCE
+    assert greetings.due is not None and greetings.due <= 10.0 + LISTED_LATELY

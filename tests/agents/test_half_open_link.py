@@ -13,6 +13,8 @@ from protocol.observer_messages import Truth
 from protocol.session_watchdog import FIRST_REST, PATIENCE
 from tests.swarm.scene import ledger
 
+LEASE = 5.0  # s
+
 
 def claim(sender: str, tick: int, **places: tuple[float, float]) -> Gossip:
     """A gossip that claims a cell bounded by the generators at these places."""
@@ -35,20 +37,20 @@ def alarms(
 
 
 def test_somebody_near_who_is_named_all_the_time_and_never_heard_is_an_alarm_and_later_ones_are_rare() -> None:
-    times = alarms(HalfOpenLinkDetector("s1", 16), 100.0)
+    times = alarms(HalfOpenLinkDetector("s1", 16, LEASE), 100.0)
     assert times[0] == 8.0 and times[1] == 8.0 + FIRST_REST and times[2] == times[1] + 2.0 * FIRST_REST
 
 
 def test_whom_i_know_and_who_stands_where_i_do_not_listen_are_none() -> None:
     assert (
-        alarms(HalfOpenLinkDetector("s1", 16), 60.0, known=("s2", "s3"))
-        == alarms(HalfOpenLinkDetector("s1", 16), 60.0, named=(60.0, 10.0))
+        alarms(HalfOpenLinkDetector("s1", 16, LEASE), 60.0, known=("s2", "s3"))
+        == alarms(HalfOpenLinkDetector("s1", 16, LEASE), 60.0, named=(60.0, 10.0))
         == []
     )
 
 
 def test_where_ticks_fly_it_takes_its_seconds() -> None:
-    hearsay = HalfOpenLinkDetector("s1", 16)
+    hearsay = HalfOpenLinkDetector("s1", 16, LEASE)
     words = [(tick, 0.01 * tick) for tick in range(1000)]
     found = [
         now for tick, now in words if hearsay.find_unheard([claim("s2", tick, s3=(20.0, 10.0))], ("s2",), lambda place: True, tick, now)
@@ -102,12 +104,18 @@ def test_who_is_cut_off_from_the_world_alone_asks_for_a_new_session_and_nobody_e
 
 
 def test_who_is_left_behind_says_so_after_its_seconds_and_then_rarely() -> None:
-    behind = WorldLinkDetector()
+    behind = WorldLinkDetector(LEASE)
     times = [0.5 * step for step in range(200) if behind.should_reopen(7, 0.5 * step)]
     assert times[0] == PATIENCE and times[1] == PATIENCE + FIRST_REST and times[2] == times[1] + 2.0 * FIRST_REST
 
 
+def test_where_links_may_be_silent_for_long_both_detectors_wait_as_long() -> None:
+    assert alarms(HalfOpenLinkDetector("s1", 16, 30.0), 100.0)[0] == 30.0
+    behind = WorldLinkDetector(30.0)
+    assert next(0.5 * step for step in range(200) if behind.should_reopen(7, 0.5 * step)) == 30.0
+
+
 def test_who_follows_at_a_distance_is_not_left_behind() -> None:
-    behind = WorldLinkDetector()
+    behind = WorldLinkDetector(LEASE)
     assert not any(behind.should_reopen(step // 4, 0.5 * step) for step in range(400))
     assert not any(behind.should_reopen(9, 1000.0 - 0.5 * step) for step in range(400))  # a clock that runs back

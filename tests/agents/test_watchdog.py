@@ -6,7 +6,7 @@ from protocol.messages import Gossip, Hello, Observation
 from protocol.node import Alive, Effect, Gone, Received, Reopen, Started, Timer, received
 from protocol.sensing import SENSOR_CLASSES
 from protocol.session_watchdog import FIRST_REST, PATIENCE
-from protocol.settings import RunSettings
+from protocol.settings import NetworkSettings, RunSettings
 
 CONFIG = AgentConfig(run=RunSettings(dt=0.5), members=dict.fromkeys(("s1", "s2", "s3"), "B"))
 
@@ -25,8 +25,8 @@ def word(sender: str, tick: int) -> Received:
     )
 
 
-def met() -> Agent:
-    agent = Agent(CONFIG, "s1")
+def met(config: AgentConfig = CONFIG) -> Agent:
+    agent = Agent(config, "s1")
     agent.handle(Started(), 0.0)
     for name in ("s2", "s3"):
         agent.handle(Alive("agent", name, 1), 0.0)
@@ -54,6 +54,13 @@ def test_it_asks_for_a_new_session_when_the_others_hear_whom_it_does_not_and_not
     assert [effect for _, effect in reopened] == [Reopen("the others hear s3, s1 does not")]
     assert PATIENCE <= reopened[0][0] < FIRST_REST
     assert agent.counters["reopened"] == 1
+
+
+def test_it_waits_for_as_long_as_its_links_may_be_silent() -> None:
+    late = AgentConfig(run=CONFIG.run, members=CONFIG.members, network=NetworkSettings(lease=30.0))
+    found = run(met(late), 40.0, {"s2": ("s1", "s3", "world")}, ("s2",))
+    reopened = [now for now, effect in found if isinstance(effect, Reopen)]
+    assert len(reopened) == 1 and reopened[0] >= 30.0
 
 
 def test_both_ends_of_a_split_session_ask_for_a_new_one() -> None:

@@ -100,7 +100,7 @@ def test_the_quality_of_service_is_what_the_partner_takes_for_the_default() -> N
 def test_the_file_of_the_halt_holds_the_order_that_counts(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file, bridge = tmp_path / "halt", Bridge.__new__(Bridge)
     bridge.body, bridge._moves, bridge._options = Desk().body, threading.Lock(), BridgeOptions(tmp_path, "s3", keep=file)
-    bridge._watchdog = BridgeWatchdog(())
+    bridge._watchdog = BridgeWatchdog((), 5.0)
     for held, incarnation in ((True, 9), (False, 8)):
         bridge._on_heard(Heard("halt", "operator-1", {"held": held}, incarnation))
     for fields in ({}, {"held": [True]}):  # of another form

@@ -42,7 +42,7 @@ def reasons(watchdog: BridgeWatchdog, hellos: list[Heard], seconds: float, begin
 
 
 def test_an_agent_that_speaks_without_a_token_is_a_reason_to_join_again() -> None:
-    watchdog, both = BridgeWatchdog(TEAM[:2]), [hello("s1", "s2"), hello("s2", "s1")]
+    watchdog, both = BridgeWatchdog(TEAM[:2], 5.0), [hello("s1", "s2"), hello("s2", "s1")]
     for name in ("s1", "s2"):
         watchdog.take(Heard("agent", name, {}, 1), 0.0)
     assert reasons(watchdog, both, 30.0) == []
@@ -54,27 +54,33 @@ def test_an_agent_that_speaks_without_a_token_is_a_reason_to_join_again() -> Non
 
 def test_an_agent_that_the_others_hear_and_the_bridge_does_not_is_a_reason_and_a_dead_one_is_none() -> None:
     others = [hello("s1", "s2", "s3"), hello("s3", "s1", "s2")]
-    assert reasons(BridgeWatchdog(TEAM), others, 10.0) == ["the others hear s2, this session does not"]
-    assert reasons(BridgeWatchdog(TEAM), [hello("s1", "s3"), hello("s3", "s1")], 30.0) == [], "s2 is dead"
+    assert reasons(BridgeWatchdog(TEAM, 5.0), others, 10.0) == ["the others hear s2, this session does not"]
+    assert reasons(BridgeWatchdog(TEAM, 5.0), [hello("s1", "s3"), hello("s3", "s1")], 30.0) == [], "s2 is dead"
     minority = [hello("s1", "s2"), hello("s3", "s1"), hello("s4", "s1")]
-    assert reasons(BridgeWatchdog((*TEAM, "s4")), minority, 30.0) == [], "one of three lists s2"
+    assert reasons(BridgeWatchdog((*TEAM, "s4"), 5.0), minority, 30.0) == [], "one of three lists s2"
 
 
 def test_a_restart_under_the_same_name_is_no_reason_and_made_up_names_have_no_say() -> None:
-    watchdog = BridgeWatchdog(TEAM)
+    watchdog = BridgeWatchdog(TEAM, 5.0)
     for heard in (Heard("agent", "s2", {}, 1), Heard("agent", "s2", {}, 2), Heard("agent", "s2", {}, 1, up=False)):
         watchdog.take(heard, 0.0)
     assert reasons(watchdog, [hello("s2")], 30.0) == []
-    assert reasons(BridgeWatchdog(TEAM), [hello("s1"), *(hello(f"x{number}", "s2") for number in range(3))], 30.0) == []
+    assert reasons(BridgeWatchdog(TEAM, 5.0), [hello("s1"), *(hello(f"x{number}", "s2") for number in range(3))], 30.0) == []
 
 
 def test_false_hellos_keep_no_bridge_busy() -> None:
     others = [hello("s1", "s2"), hello("s3", "s2")]
-    assert len(reasons(BridgeWatchdog(TEAM), others, 600.0)) == 5, "after 6 s, and 20, 40, 80 and 160 s later"
+    assert len(reasons(BridgeWatchdog(TEAM, 5.0), others, 600.0)) == 5, "after 6 s, and 20, 40, 80 and 160 s later"
+
+
+def test_where_links_may_be_silent_for_long_the_signs_must_last_as_long() -> None:
+    others = [hello("s1", "s2", "s3"), hello("s3", "s1", "s2")]
+    assert reasons(BridgeWatchdog(TEAM, 30.0), others, 30.0) == []
+    assert reasons(BridgeWatchdog(TEAM, 30.0), others, 40.0) == ["the others hear s2, this session does not"]
 
 
 def test_a_guest_counts_once_it_had_a_token_and_of_too_many_the_earliest_is_forgotten() -> None:
-    watchdog = BridgeWatchdog(())
+    watchdog = BridgeWatchdog((), 5.0)
     for name in ("s1", "s2"):
         watchdog.take(Heard("agent", name, {}, 1), 0.0)
     watchdog.take(Heard("agent", "s2", {}, 1, up=False), 0.0)
