@@ -19,7 +19,6 @@ from agents.config import AgentConfig
 from agents.coverage.capacity import power_radius, unused_capacity
 from agents.coverage.control import STAND, ControlInput, ControlLaw, Intent, Situation, Surroundings, middle_of
 from agents.coverage.laws import control_law
-from agents.coverage.search_and_track import SearchAndTrack
 from agents.gossip.table import REACH, AnnouncedSensor, GossipTable, announced_sensor, gossip_table
 from agents.interest.position_table import UnsubscribedGenerators
 from agents.membership.peer_table import COMPLETE_SET_HASH, PeerTable
@@ -159,7 +158,7 @@ def result_of(
     command = STAND
     if ticks:
         situation = _situation(context, own, round_cell.region.polygon, update, round_cell.generator_table, table, ticks)
-        if isinstance(context.law, SearchAndTrack):
+        if context.law.uses_surroundings:
             situation = situation._replace(surroundings=_surroundings(context, own, density, update, table, round_cell.generator_table))
         command = context.law.command(situation)
     return RoundResult(
@@ -170,7 +169,7 @@ def result_of(
         cell=round_cell.region.polygon,
         estimates=update.estimates,
         command=command,
-        intent=context.law.intent if isinstance(context.law, SearchAndTrack) else None,
+        intent=context.law.intent,
         round_cell=round_cell,
         density=update.updated,
     )
@@ -265,7 +264,7 @@ def _situation(
         limits=config.limits,
         heading=config.control.heading,
         arena=(config.arena.width, config.arena.height),
-        nearby_sensors=_nearby_sensors(context, cell, table) if getattr(context.law, "uses_nearby_sensors", False) else (),
+        nearby_sensors=_nearby_sensors(context, cell, table) if context.law.uses_nearby_sensors else (),
         generators=generator_table.generators[:, :2],
         own_generator=generator_table.names.index(context.name) if context.name in generator_table.names else -1,
         ticks=ticks,

@@ -13,7 +13,7 @@ from agents.agent import Agent
 from agents.backend import Backend
 from agents.config import AgentConfig, ControlSettings
 from agents.coverage.capacity import centroid_of_detection
-from agents.coverage.control import STAND, ControlInput, Situation, approach
+from agents.coverage.control import STAND, ControlInput, ControlLaw, Situation, approach
 from deploy.scenario import Scenario
 from protocol.settings import sensor_of
 from world.assignment import linear_sum_assignment
@@ -48,7 +48,7 @@ class Oracle:
         return agent
 
 
-class OracleLaw:
+class OracleLaw(ControlLaw):
     """Drives the COD onto the assigned target and faces it; stands without one."""
 
     def __init__(self, oracle: Oracle) -> None:

@@ -152,7 +152,7 @@ class NetworkSettings(Section, frozen=True, kw_only=True):
     mode: Literal["peer", "client", "router"] = "peer"  # peer: everybody is linked to everybody; client: to a router, which passes all on
     listen: tuple[str, ...] = ("tcp/127.0.0.1:0",)
     seeds: tuple[str, ...] = ()  # endpoints to dial
-    lease: Positive = 5.0  # s without a byte until a link counts as lost; longer than a machine stands still
+    lease: Positive = 5.0  # s without a byte until a link counts as lost; longer than a machine or a slow link stands still
     most_per_second: Annotated[int, msgspec.Meta(ge=1)] = 1000  # messages of one session under one key; more is a flood. In lockstep 5000
     insecure: bool = False  # allow endpoints beyond loopback without TLS
     ca: str = ""  # mutual TLS: the file of the authority that all trust; here and in the next two {name} stands for the process's name

@@ -3,7 +3,7 @@
 Data types: a `Situation` is the input of a control law; a `ControlInput` is its output ((vx, vy), turn rate).
 
 Rules. A control law has a method `command(situation)`. `laws.control_law` makes the one that a scenario names.
-Only `search_and_track.SearchAndTrack` announces a goal and reads `Situation.surroundings`.
+What takes time to compute, a law asks for: it is in a situation only then.
 """
 
 import math
@@ -24,7 +24,7 @@ STAND: ControlInput = ((0.0, 0.0), 0.0)
 
 
 class Surroundings(NamedTuple):
-    """What search and track reads besides."""
+    """What a law that announces goals reads besides."""
 
     density: Particles  # the particles everywhere that counted one tick before
     around: Particles  # those around the own cell, after the scans of this tick
@@ -35,7 +35,7 @@ class Surroundings(NamedTuple):
 
 
 class Intent(NamedTuple):
-    """What search and track announces: its new goal in m, and its utilisation around the goal that it announced before."""
+    """What a law announces: its new goal in m, and its utilisation around the goal that it announced before."""
 
     goal: tuple[float, float]
     utilisation: float  # a multiple of what the sensor can hold
@@ -60,25 +60,29 @@ class Situation(NamedTuple):
     nearby_sensors: tuple[tuple[SensorModel, Pose], ...] = ()  # around the cell, that scanned; if a law `uses_nearby_sensors`
     generators: np.ndarray = EMPTY  # (N, 2) m, of the diagram
     own_generator: int = -1  # the row of the agent's generator; -1 without one
-    surroundings: Surroundings | None = None  # for search and track
+    surroundings: Surroundings | None = None  # if a law `uses_surroundings`
     ticks: int = 1  # for about so many the command will last
 
 
 class ControlLaw(Protocol):
     """A law that drives a body."""
 
+    uses_nearby_sensors: bool = False  # it reads `Situation.nearby_sensors`
+    uses_surroundings: bool = False  # it reads `Situation.surroundings`
+    intent: Intent | None = None  # after a command: what the next gossip announces
+
     def command(self, situation: Situation) -> ControlInput:
         """The velocity and turn rate until the next command, about `situation.ticks` ticks later."""
 
 
-class Lloyd:
+class Lloyd(ControlLaw):
     """The law of the paper: drives the COD to the centroid of the own cell and faces it (18); stands still without a cell."""
 
     def command(self, situation: Situation) -> ControlInput:
         return approach(situation, situation.centroid) if situation.centroid else STAND
 
 
-class UniformDensity:
+class UniformDensity(ControlLaw):
     """Lloyd's algorithm for a uniform density: drives to the centroid of the area of the own cell."""
 
     def command(self, situation: Situation) -> ControlInput:
@@ -86,14 +90,14 @@ class UniformDensity:
         return approach(situation, middle) if middle else STAND
 
 
-class Static:
+class Static(ControlLaw):
     """Never moves the body."""
 
     def command(self, situation: Situation) -> ControlInput:
         return STAND
 
 
-class RandomWalk:
+class RandomWalk(ControlLaw):
     """Drives to a random point of the arena, another one every 20 s."""
 
     def command(self, situation: Situation) -> ControlInput:

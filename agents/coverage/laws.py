@@ -37,7 +37,7 @@ def control_law(config: AgentConfig, backend: Backend = PLAIN) -> ControlLaw:
         raise BadSetting(f"control.mode = {mode!r}: {error}") from error.__cause__
 
 
-class CheckedLaw:
+class CheckedLaw(ControlLaw):
     """A control law of the user, within the limits of the body; an answer that is no command raises BadSetting with the class's name."""
 
     def __init__(self, law: ControlLaw, name: str) -> None:

@@ -13,7 +13,7 @@ import numpy as np
 
 from agents.coverage.capacity import sensor_facts
 from agents.coverage.cells import power_cell
-from agents.coverage.control import STAND, ControlInput, Situation, middle_of
+from agents.coverage.control import STAND, ControlInput, ControlLaw, Situation, middle_of
 from agents.tracking.particles import total
 from protocol.arithmetic import elementwise
 from protocol.geometry import rectangle, wrap_angle
@@ -27,7 +27,7 @@ STALE_WEIGHT = 0.1
 NEW_PARTICLE_AGE = 2.5  # s: the time out of sight assumed for a particle new in the cell
 
 
-class Pursuit:
+class Pursuit(ControlLaw):
     """The pursuit law, with the time when each particle of the own cell was last in a field of view, by particle id."""
 
     uses_nearby_sensors = True

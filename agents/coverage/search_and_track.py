@@ -11,15 +11,16 @@ import math
 from agents.backend import PLAIN, Backend
 from agents.config import SearchSettings
 from agents.coverage.capacity import sensor_facts
-from agents.coverage.control import STAND, ControlInput, Intent, Situation
+from agents.coverage.control import STAND, ControlInput, ControlLaw, Situation
 from agents.coverage.search_plan import Memory, PlanInput, Task, no_memory
 
 
-class SearchAndTrack:
-    """The search-and-track law; after a command `intent` is what the next gossip announces."""
+class SearchAndTrack(ControlLaw):
+    """The search-and-track law."""
+
+    uses_surroundings = True
 
     def __init__(self, settings: SearchSettings = SearchSettings(), backend: Backend = PLAIN) -> None:
-        self.intent: Intent | None = None
         self._settings, self._backend = settings, backend
         self._memory: Memory | None = None
 
