@@ -47,7 +47,8 @@ LATE = 1.2  # s
 SETTLED = 25.0  # s of world time; by then the agents have found each other and measured the lag
 SUDDENLY = 30.0  # s after the processes were started
 HEALED = 100.0  # s of world time; TCP has got used to its longer ways for half a minute by then
-OPTIONS = ("--team", "A2,C4,D2", "--targets", "8", "--set", "arena.width=50", "--set", "arena.height=50", "--dt", str(DT), "--rate", "1")
+TEAM = ("--team", "A2,C4,D2", "--targets", "8", "--set", "arena.width=50", "--set", "arena.height=50")
+OPTIONS = (*TEAM, "--dt", str(DT), "--rate", "1", "--set", "timing.look_ahead=2.5")
 
 
 class LateNetwork:
@@ -90,7 +91,7 @@ class LateNetwork:
         recorder_network = {"listen": [self.endpoint("recorder")], "seeds": seeds}
         recorder_options = [word for key, value in recorder_network.items() for word in ("--set", f"network.{key}={json.dumps(value)}")]
         for file, words in (("run.toml", ()), ("agents.toml", ("--agents",)), ("recorder.toml", recorder_options)):
-            command = [sys.executable, "-P", "-m", "deploy", "config", "efficacy", *options, "--set", "timing.look_ahead=2.5", *words]
+            command = [sys.executable, "-P", "-m", "deploy", "config", "efficacy", *options, *words]
             text = subprocess.run(command, env={**os.environ, "PYTHONPATH": str(ROOT)}, check=True, capture_output=True).stdout
             (self.folder / file).write_bytes(text)
         # UDP has no "connection refused": a process that dials one that is not running yet tries again after a minute
