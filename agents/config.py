@@ -29,7 +29,7 @@ class FilterSettings(Section, frozen=True, kw_only=True):
     position_noise: Annotated[float, msgspec.Meta(ge=0.0, le=1000.0)] = 0.1  # per axis and step, m
     lifetime: NotNegative = 1000.0  # mean survival time, s; 0 = for ever
     border: Literal["cross", "reflect"] = "cross"  # what a particle does at the border of the arena
-    prior_density: Density = 0.001  # expected targets per m^2 at the start and in equilibrium
+    prior_density: Density = 0.001  # expected targets per m^2 at the start, and about so many in equilibrium
     prior_particles: Annotated[float, msgspec.Meta(ge=0.0, le=100.0)] = 0.3  # of the prior per m^2, at least
     particles_per_target: ParticleCount = 75
     least_particles: ParticleCount = 30  # per owner
