@@ -33,6 +33,9 @@ from protocol.sensing import measurement_of
 
 SPLIT_OFFSET = 0.7  # where the halves of a split component lie, in its standard deviations
 PRIOR_DEVIATION = 0.7  # standard deviation of a component of the prior in units of the largest one; half of their distance
+BACKGROUND_TURN = 0.15  # standard deviation of the velocity of a background birth, in speeds: its direction has been drawn already
+LEAST_BIRTH = 2.0  # weight of a background birth in units of `mixture.pruned`, at least
+OUTSIDE = 3.0  # standard deviations of a detection from the arena, beyond which it shows no new target
 
 
 def prior(config: AgentConfig) -> Mixture:
@@ -55,13 +58,19 @@ def _covariances(count: int, place: float, velocity: float) -> np.ndarray:
 
 
 def background_births(step: Step) -> Mixture:
-    """The background births of a tick: a component at each particle of `births.background_births`."""
+    """The background births of a tick: a component at each particle of `births.background_births`.
+
+    What would be so light that it is dropped is born every few ticks instead, with the mass of all of them.
+    """
     config = step.config
     born = births.background_births(step)
     if not len(born.ids):
         return EMPTY
-    covariances = _covariances(len(born.ids), (0.5 * config.mixture.spread) ** 2, 0.25 * config.filter.speed**2)
-    return unlabelled(born.weights, born.states, covariances, born.ids)
+    ticks = max(1, math.ceil(min(LEAST_BIRTH * config.mixture.pruned / born.weights[0], 2.0**53)))
+    if (step.tick + 1) % ticks:
+        return EMPTY
+    covariances = _covariances(len(born.ids), (0.5 * config.mixture.spread) ** 2, (BACKGROUND_TURN * config.filter.speed) ** 2)
+    return unlabelled(ticks * born.weights, born.states, covariances, born.ids)
 
 
 def predict(mixture: Mixture, step: Step) -> Mixture:
@@ -158,7 +167,7 @@ def _corrected(mixture: Mixture, scan: Scan, step: Step) -> Mixture:
     rows, columns, found, likelihood = _detected(near, scan, noise, step)
     terms = np.zeros((len(near.ids), len(scan.detections)))
     terms[rows, columns] = likelihood
-    fresh = scan.probability(scan.detections) * birth_density(scan, config)
+    fresh = scan.probability(scan.detections) * birth_density(scan, config) * _may_lie_in_arena(scan.detections, noise, config)
     norms = scan.clutter_density + fresh + column_sums(terms)
     norms = np.where(norms > 0.0, norms, 1.0)
     born = _births(scan, noise, fresh / norms, step)
@@ -219,6 +228,17 @@ def _detected(mixture: Mixture, scan: Scan, noise: np.ndarray, step: Step) -> tu
 def birth_density(scan: Scan, config: AgentConfig) -> float:
     """Density of targets at a detection that no component stands for, per m^2: the least one, since components cover what is known."""
     return least_density(scan.clutter_density, config.birth) if config.birth.measurement else 0.0
+
+
+def _may_lie_in_arena(detections: np.ndarray, noise: np.ndarray, config: AgentConfig) -> np.ndarray:
+    """Whether each detection (M, 2) with the covariance `noise` (M, 2, 2) may be of a target in the arena: (M,) bool.
+
+    A footprint reaches beyond the border, and so does its clutter. Births there would all come to lie on the border (`clamped`).
+    """
+    x, y = detections.T
+    dx, dy = x - np.clip(x, 0.0, config.arena.width), y - np.clip(y, 0.0, config.arena.height)
+    near: np.ndarray = (dx * dx <= OUTSIDE**2 * noise[:, 0, 0]) & (dy * dy <= OUTSIDE**2 * noise[:, 1, 1])
+    return near
 
 
 def _births(scan: Scan, noise: np.ndarray, weights: np.ndarray, step: Step) -> Mixture:
