@@ -48,7 +48,7 @@ BINS_TO_NOISE = 2.0, 3.0  # `extraction.bin` in `detection.noise`: docs/how-to/f
 LEAST_TICKS = 10.0  # in which a target crosses the reach of a sensor; shipped scenarios have 14 and more
 FITTING = "docs/how-to/fit.md"
 TICKS_TRIED = 2  # of which a law and a motion of the user's own are asked, each by two objects
-WAITED_FOR = {"delay", "slow"}  # faults whose effect is lateness
+WAITED_FOR = {"delay", "slow", "starve", "freeze", "throttle"}  # faults whose effect is lateness
 TEAM = {"team", "members", "sensors"}  # sections that are right or wrong together
 
 
@@ -119,15 +119,16 @@ def scale_remarks(scenario: Scenario) -> list[str]:
     return remarks
 
 
-def faults_without_effect(scenario: Scenario) -> str:
-    """A line about faults that change nothing in a simulation in lockstep; empty if there are none."""
-    found = ", ".join(sorted(_verbs(scenario) & WAITED_FOR))
-    return f"no effect in a simulation without --rate 1, because the world waits: {found}" if found else ""
+def faults_that_are_waited_for(scenario: Scenario) -> str:
+    """A line about faults of which a simulation in lockstep may show nothing; empty if there are none."""
+    found, longest = ", ".join(sorted(_verbs(scenario) & WAITED_FOR)), scenario.timing.deadline * scenario.run.patience
+    line = f"without --rate 1 rounds of a simulation wait up to {longest:g} s for what is late, so these may change nothing: {found}"
+    return line if found else ""
 
 
 def simulation_remarks(scenario: Scenario, clock: str) -> list[str]:
-    """A line for each fault that changes nothing in a simulation with this clock."""
-    waited_for = faults_without_effect(scenario) if clock == "lockstep" else ""
+    """A line for each fault that changes nothing, or may change nothing, in a simulation with this clock."""
+    waited_for = faults_that_are_waited_for(scenario) if clock == "lockstep" else ""
     return [*fault_remarks(scenario), *([waited_for] if waited_for else [])]
 
 

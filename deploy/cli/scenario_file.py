@@ -13,7 +13,7 @@ from deploy.cli.scenario_checks import (
     fault_remarks,
     faults_beyond_a_simulation,
     faults_on_links,
-    faults_without_effect,
+    faults_that_are_waited_for,
     scale_remarks,
 )
 from deploy.cli.template import template
@@ -115,7 +115,7 @@ def check(scenario: Scenario) -> int:
     if shutil.disk_usage(folder).free < LEAST_BYTES:
         raise BadSetting(f"runs {runs_folder()}: the disk is full; COVEY_RUNS names another place")
     print(f"runs       {runs_folder()}: writable")
-    elsewhere = faults_without_effect(scenario), faults_on_links(scenario), faults_beyond_a_simulation(scenario)
+    elsewhere = faults_that_are_waited_for(scenario), faults_on_links(scenario), faults_beyond_a_simulation(scenario)
     for remark in filter(None, (*fault_remarks(scenario), *elsewhere)):
         print(f"faults     {remark}")
     if advice := too_small(scenario):

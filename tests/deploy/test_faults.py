@@ -5,9 +5,10 @@ import math
 import msgspec
 import pytest
 
-from deploy.cli.scenario_checks import faults_beyond_a_simulation, faults_on_links, faults_without_effect
+from deploy.cli.scenario_checks import faults_beyond_a_simulation, faults_on_links, faults_that_are_waited_for
 from deploy.faults.faults import REFUSED, Action, Schedule, check_fault, check_faults, choose
 from deploy.scenario import FaultSettings, resolve
+from deploy.simulation import Simulation
 from protocol.random_streams import stream
 from protocol.settings import BadSetting
 
@@ -189,10 +190,19 @@ def test_link_faults_end_with_a_share_of_zero_and_a_partition_heals() -> None:
 def test_faults_that_change_nothing_here_are_said_in_a_line() -> None:
     faults = tuple(FaultSettings(at=1.0, verb=verb, who="s1", value=0.5) for verb in ("slow", "delay", "loss", "kill"))
     scenario = msgspec.structs.replace(resolve("quick"), faults=faults)
-    assert faults_without_effect(scenario) == "no effect in a simulation without --rate 1, because the world waits: delay, slow"
+    line = "without --rate 1 rounds of a simulation wait up to 2.5 s for what is late, so these may change nothing: delay, slow"
+    assert faults_that_are_waited_for(scenario) == line
     assert faults_on_links(scenario) == "real processes need network.link_faults = true for delay, drop"
     linked = msgspec.structs.replace(scenario, network=msgspec.structs.replace(scenario.network, link_faults=True))
-    assert faults_on_links(linked) == faults_without_effect(resolve("quick")) == faults_on_links(resolve("quick")) == ""
+    assert faults_on_links(linked) == faults_that_are_waited_for(resolve("quick")) == faults_on_links(resolve("quick")) == ""
     dead_world = msgspec.structs.replace(scenario, faults=(FaultSettings(at=1.0, verb="kill", who="s1,world"),))
     assert faults_beyond_a_simulation(dead_world) == "a simulation has no such process to strike: world"
     assert faults_beyond_a_simulation(scenario) == ""
+
+
+def test_rounds_in_lockstep_wait_for_what_is_late_as_long_as_the_remark_says() -> None:
+    def transcript(delay: float) -> str:
+        scenario = resolve("quick", {"run.seconds": 1.0})
+        return Simulation(msgspec.structs.replace(scenario, faults=(FaultSettings(at=0.0, verb="delay", value=delay),))).run().transcript
+
+    assert transcript(0.0) == transcript(2.4) != transcript(2.6)
