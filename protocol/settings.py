@@ -25,7 +25,8 @@ NotNegative = Annotated[float, msgspec.Meta(ge=0.0, le=1.0e9)]
 # what goes into messages, within their limits: a place in the arena plus the reach of a sensor is a coordinate; in 10 s nothing goes beyond
 Length = Annotated[float, msgspec.Meta(gt=0.0, le=LARGEST_NUMBER / 2)]
 Rate = Annotated[float, msgspec.Meta(ge=0.0, le=LARGEST_NUMBER / 100)]
-Seed = Annotated[int, msgspec.Meta(ge=0, le=2**63 - 1)]
+LARGEST_SEED = 2**63 - 1
+Seed = Annotated[int, msgspec.Meta(ge=0, le=LARGEST_SEED)]
 Fraction = Annotated[float, msgspec.Meta(ge=0.0, le=1.0)]
 
 

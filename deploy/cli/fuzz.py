@@ -7,15 +7,15 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from deploy.simulation import compile_once
 from deploy.verify.fuzz import MIXED, PROFILES, run
-from protocol.settings import BadSetting
+from protocol.settings import LARGEST_SEED, BadSetting
 
 
 def fuzz(seeds: int, first: int, jobs: int | None, profile: str = MIXED) -> int:
     """Play `seeds` cases of a profile from `first` on; exit code 1 when one fails. Raises BadSetting."""
     if profile not in (MIXED, *PROFILES):
         raise BadSetting(f"--profile {profile}: should be one of {', '.join((MIXED, *PROFILES))}")
-    if seeds < 1 or first < 0 or (jobs is not None and jobs < 1):
-        raise BadSetting(f"--seeds {seeds} --first {first}: should be at least one seed from 0 on, and at least one job")
+    if seeds < 1 or not 0 <= first <= LARGEST_SEED + 1 - seeds or (jobs is not None and jobs < 1):
+        raise BadSetting(f"--seeds {seeds} --first {first}: should be at least one seed, of 0 to {LARGEST_SEED}, and at least one job")
     compile_once()
     started, console = time.perf_counter(), Console(stderr=True, highlight=False)
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())

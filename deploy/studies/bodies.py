@@ -16,7 +16,7 @@ import numpy as np
 
 from deploy.scenario import FaultSettings, Scenario, check_triple, find, resolve, toml_value
 from deploy.simulation import Simulation
-from deploy.studies.trials import CORE, Row, check_free, key_of, source_hash
+from deploy.studies.trials import CORE, Row, check_free, check_scored, check_seeds, key_of, source_hash
 from protocol.observer_messages import Truth
 from protocol.random_streams import stream
 from protocol.settings import BadSetting
@@ -102,12 +102,14 @@ def plan(trials: int, seed: int, seconds: float, models: Sequence[str], options:
             raise BadSetting(f"--methods {model}: should be one or more of {', '.join(MODELS)}")
     sizes = {dotted: "methods" for changes in MODELS.values() for dotted in changes}
     check_free(options, {"run.seed": "seed", "run.clock": "", **sizes})
+    check_seeds(seed, trials)
     runs = [
         BodyRun(model=model, seed=number, seconds=seconds, options=options) for number in range(seed, seed + trials) for model in models
     ]
     for run in runs[: len(models)]:
         scenario = run.resolve()
         check_triple(scenario.team.composition, options.get("team.triple"))
+        check_scored(scenario)
         if len(scenario.members) <= len(DEATHS):
             raise BadSetting(
                 f"team {scenario.team.composition}: should be of {len(DEATHS) + 1} sensors or more, for {len(DEATHS)} of them die"

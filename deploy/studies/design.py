@@ -6,7 +6,7 @@ from typing import Any
 import msgspec
 
 from deploy.scenario import TeamSettings, check_triple, team_counts
-from deploy.studies.trials import ABLATIONS, Trial, check_free, check_method, settings_of
+from deploy.studies.trials import ABLATIONS, Trial, check_free, check_method, check_scored, check_seeds, settings_of
 from protocol.settings import BadOption, BadSetting
 
 
@@ -84,6 +84,7 @@ def plan(found: Design) -> list[Trial]:
     for team in found.teams:
         check_triple(team, found.options.get("team.triple"))
         team_counts(TeamSettings(composition=team, triple=found.options.get("team.triple", "ACD")))
+    check_seeds(found.first_seed, found.trials)
     seeds = range(found.first_seed, found.first_seed + found.trials)
     trials = [
         _trial(found, seed, targets, team, method)
@@ -91,7 +92,7 @@ def plan(found: Design) -> list[Trial]:
         if team not in found.elsewhere or targets == found.targets[0]  # such a team has its own number of targets
     ]
     for trial in trials[: len(found.targets) * len(found.teams) * len(found.methods)]:
-        trial.resolve()
+        check_scored(trial.resolve())
     return trials
 
 
@@ -105,8 +106,6 @@ def design_fields(trials: int | None, seed: int | None, teams: str | None, targe
     """The fields of a design that the command line names; raises BadOption."""
     if trials is not None and trials < 1:
         raise BadOption("trials", trials, "should be at least 1")
-    if seed is not None and not 0 <= seed < 2**62:
-        raise BadOption("seed", seed, "should be a whole number from 0 to 2**62")
     numbers = _parts(targets)
     if numbers is not None and not all(part.isdecimal() for part in numbers):
         raise BadOption("targets", targets, "should be whole numbers with commas, such as 30,40,50")

@@ -17,7 +17,7 @@ import numpy as np
 from deploy.faults.faults import Schedule
 from deploy.scenario import FaultSettings, Scenario, check_triple, find, resolve
 from deploy.simulation import Simulation
-from deploy.studies.trials import CORE, Row, check_free, key_of, source_hash
+from deploy.studies.trials import CORE, Row, check_free, check_scored, check_seeds, key_of, source_hash
 from protocol.settings import BadSetting
 
 SCENARIO = "efficacy"
@@ -98,6 +98,7 @@ def plan(trials: int, seed: int, at: float, seconds: float, options: dict[str, A
     least = at + SETTLED + FIRST
     if trials < 1 or seconds < least:
         raise BadSetting(f"--trials {trials} --seconds {seconds:g}: should be at least one trial, and at least {least:g} s")
+    check_seeds(seed, trials)
     cells = [(NONE, 0.0), *((kind, level) for kind, levels in LEVELS.items() for level in levels)]
     cells += [(FRESH, level) for level in LEVELS["kill"]]
     bouts = [
@@ -107,6 +108,7 @@ def plan(trials: int, seed: int, at: float, seconds: float, options: dict[str, A
     ]
     scenario = bouts[0].resolve()
     check_triple(scenario.team.composition, options.get("team.triple"))
+    check_scored(scenario)
     agents = len(scenario.members)
     if agents < LEAST_AGENTS:
         raise BadSetting(f"--team: has {agents} agents; should have at least {LEAST_AGENTS}, for nine in ten of them die")

@@ -16,12 +16,12 @@ import msgspec
 
 from agents.config import AgentConfig, ControlSettings
 from agents.coverage.laws import control_law
-from deploy.scenario import SEARCH_EXTRACTION, Scenario, find, resolve, toml_value
+from deploy.scenario import SEARCH_EXTRACTION, Scenario, find, has_targets, resolve, toml_value
 from deploy.scoring.error_parts import ErrorParts
 from deploy.scoring.result import Result
 from deploy.simulation import Simulation
 from deploy.studies.own_code import own_code, own_files
-from protocol.settings import BadOption, BadSetting
+from protocol.settings import LARGEST_SEED, BadOption, BadSetting
 from world.sources import recorded_files
 
 Row = dict[str, Any]
@@ -143,6 +143,19 @@ def check_free(options: Mapping[str, Any], taken: Mapping[str, str]) -> None:
         if dotted in taken:
             right = f"given as {taken[dotted]}" if taken[dotted] else "left out"
             raise BadSetting(f"{dotted} = {options[dotted]!r}: the study itself sets it; should be {right}")
+
+
+def check_seeds(first: int, number: int) -> None:
+    """Raise BadOption unless `number` seeds from `first` on are seeds of runs."""
+    largest = LARGEST_SEED + 1 - number
+    if not 0 <= first <= largest:
+        raise BadOption("seed", first, f"should be a whole number from 0 to {largest}")
+
+
+def check_scored(scenario: Scenario) -> None:
+    """Raise BadSetting for a scenario without targets: its scores say nothing, and a study compares scores."""
+    if not has_targets(scenario):
+        raise BadSetting("targets.count = 0: there are no scores without targets, and a study compares them; should be 1 or more")
 
 
 def settings_of(method: str) -> dict[str, Any]:

@@ -39,6 +39,11 @@ def test_a_model_that_does_not_exist_is_refused() -> None:
         plan(1, 1, 40.0, ("cubes",), {})
 
 
+def test_a_study_without_targets_is_refused() -> None:
+    with pytest.raises(BadSetting, match=r"targets\.count = 0: there are no scores without targets"):
+        plan(1, 1, 40.0, ("points",), {"targets.count": 0})
+
+
 def test_the_least_distance_is_that_of_ways_not_of_ends_alone() -> None:
     gaps = Gaps()
     for tick, (one, other) in enumerate([((0.0, 0.0), (4.0, 0.3)), ((4.0, 0.0), (0.0, 0.3))]):

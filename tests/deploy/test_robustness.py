@@ -37,8 +37,13 @@ def test_all_kinds_and_levels_are_played_with_the_same_seeds_and_every_death_bes
     assert deaths[0] == deaths[1] == set(LEVELS["kill"])
 
 
-@pytest.mark.parametrize(("trials", "seconds", "options"), [(0, 200.0, {}), (1, 120.0, {}), (1, 200.0, {"team.composition": "A2,B3"})])
-def test_no_trials_runs_that_end_too_early_and_teams_that_would_die_out_are_refused(trials: int, seconds: float, options: Any) -> None:
+@pytest.mark.parametrize(
+    ("trials", "seconds", "options"),
+    [(0, 200.0, {}), (1, 120.0, {}), (1, 200.0, {"team.composition": "A2,B3"}), (1, 200.0, {"targets.count": 0})],
+)
+def test_no_trials_or_targets_runs_that_end_too_early_and_teams_that_would_die_out_are_refused(
+    trials: int, seconds: float, options: Any
+) -> None:
     with pytest.raises(BadSetting):
         plan(trials, 1, 100.0, seconds, options)
 

@@ -7,8 +7,8 @@ import pytest
 
 from deploy.studies.design import STUDIES, Design, design, plan
 from deploy.studies.results import StudyFolder, read_results
-from deploy.studies.trials import Row, methods_of
-from protocol.settings import BadSetting
+from deploy.studies.trials import Row, Trial, methods_of
+from protocol.settings import LARGEST_SEED, BadSetting
 
 
 def row(seed: int, method: str = "power", ospa: float = 1.0, **more: object) -> Row:
@@ -47,6 +47,18 @@ def test_what_cannot_be_run_is_refused_before_anything_runs() -> None:
         plan(Design(scenario="efficacy", teams=("9",), targets=(30,), methods=("power",)))
     with pytest.raises(BadSetting, match=r"run\.dt"):
         plan(Design(scenario="efficacy", teams=("2",), targets=(30,), methods=("power",), options={"run.dt": -1.0}))
+
+
+def test_a_study_has_targets_and_all_its_seeds_are_those_of_runs() -> None:
+    def planned(targets: tuple[int, ...], seed: int) -> list[Trial]:
+        return plan(Design(scenario="quick", teams=("2A",), targets=targets, methods=("power",), trials=2, first_seed=seed))
+
+    with pytest.raises(BadSetting, match=r"^targets\.count = 0: there are no scores without targets, .*; should be 1 or more$"):
+        planned((3, 0), 1)
+    assert planned((3,), LARGEST_SEED - 1)[-1].resolve().run.seed == LARGEST_SEED
+    for seed in (-1, LARGEST_SEED):
+        with pytest.raises(BadSetting, match=f"^--seed {seed}: should be a whole number from 0 to {LARGEST_SEED - 1}$"):
+            planned((3,), seed)
 
 
 @pytest.mark.parametrize(
