@@ -7,8 +7,10 @@ from typing import Any, TypeVar
 import msgspec
 import numpy as np
 
+from agents.coverage.capacity import sensor_facts
 from agents.coverage.control import ControlLaw, Situation
 from agents.coverage.laws import CheckedLaw, control_law
+from agents.interest.selection import GRID_SPACING, SELECTION_MARGIN
 from agents.tracking.births import prior_size
 from agents.tracking.particles import unlabelled
 from agents.tracking.phd import BINS_IN_VICINITY
@@ -19,8 +21,10 @@ from deploy.scenario import (
     ORACLE,
     FaultSettings,
     Scenario,
+    TeamSettings,
     agent_config,
     check_names,
+    check_triple,
     recording_remarks,
     spelled_out,
     unsimulated,
@@ -32,7 +36,7 @@ from protocol.gaussian_components import MOST_MASS
 from protocol.geometry import rectangle
 from protocol.sensing import WedgeSensor, measurement_of
 from protocol.setting_errors import mistakes
-from protocol.settings import BadSetting, sensor_of
+from protocol.settings import BadOption, BadSetting, sensor_of
 from world.bodies import check_given, start_poses
 from world.config import TargetSettings
 from world.platform import SIMULATED, platform_class
@@ -46,6 +50,7 @@ T = TypeVar("T")
 BLOCK = 5  # bins on a side of what an estimate is read off: agents/tracking/extraction.py
 BINS_TO_NOISE = 2.0, 3.0  # `extraction.bin` in `detection.noise`: docs/how-to/fit.md#what-follows
 LEAST_TICKS = 10.0  # in which a target crosses the reach of a sensor; shipped scenarios have 14 and more
+MOST_SEARCHED = 1000.0  # m: with longer reaches agents that hear neighbours alone take several times as long as those that hear all
 FITTING = "docs/how-to/fit.md"
 TICKS_TRIED = 2  # of which a law and a motion of the user's own are asked, each by two objects
 WAITED_FOR = {"delay", "slow", "starve", "freeze", "throttle"}  # faults whose effect is lateness
@@ -95,6 +100,33 @@ def complaints(scenario: Scenario) -> Iterator[tuple[str, str]]:
 def fault_remarks(scenario: Scenario) -> list[str]:
     """A line for each fault that changes nothing."""
     return [finding.text for finding in rehearse(scenario) if not finding.is_refused]
+
+
+def team_remarks(scenario: Scenario) -> list[str]:
+    """A line where [team] gives classes that its team does not read."""
+    triple = scenario.team.triple
+    try:
+        check_triple(scenario.team.composition, triple if triple != TeamSettings().triple else None)
+    except BadOption as error:
+        return [f"team.triple = {triple!r}: {error.right}"]
+    return []
+
+
+def interest_remarks(scenario: Scenario) -> list[str]:
+    """Lines where agents that hear neighbours alone may miss one, or take long to choose them: for sensors much larger than Table I's.
+
+    A COD jumps by twice its offset when its sensor turns round. The choice looks at points all over what a sensor reaches.
+    """
+    if scenario.timing.interest == "all":
+        return []
+    sensors = [sensor_of(scenario, name) for name in dict.fromkeys(scenario.members.values())]
+    jump, reach = max(2.0 * math.hypot(*sensor_facts(sensor).cod_offset) for sensor in sensors), max(sensor.reach for sensor in sensors)
+    reasons = []
+    if jump > SELECTION_MARGIN:
+        reasons.append(f"agents choose with a margin of {SELECTION_MARGIN:g} m, and a COD may jump by {jump:.4g} m: some may be missed")
+    if reach > MOST_SEARCHED:
+        reasons.append(f"agents look at points {GRID_SPACING:g} m apart, and a sensor reaches {reach:.4g} m: the choice takes long")
+    return [f"timing.interest = 'neighbours': {reason}; should be 'all'" for reason in reasons]
 
 
 def scale_remarks(scenario: Scenario) -> list[str]:

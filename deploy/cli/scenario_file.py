@@ -14,7 +14,9 @@ from deploy.cli.scenario_checks import (
     faults_beyond_a_simulation,
     faults_on_links,
     faults_that_are_waited_for,
+    interest_remarks,
     scale_remarks,
+    team_remarks,
 )
 from deploy.cli.template import template
 from deploy.installation import versions
@@ -97,7 +99,9 @@ def check(scenario: Scenario) -> int:
         print(f"           run.seconds = {run.seconds:g} is no multiple of run.dt: the run lasts {run.ticks * run.dt:g} s")
     for remark in filter(None, (platform_remark, *pose_warnings(world_config(scenario)))):
         print(f"bodies     {remark}")
-    for remark in scale_remarks(scenario):
+    for remark in team_remarks(scenario):
+        print(f"team       {remark}")
+    for remark in (*scale_remarks(scenario), *interest_remarks(scenario)):
         print(f"fit        {remark}")
     if scenario.control.mode == ORACLE:
         print("control    oracle knows the true targets: of `covey simulate` alone, `covey up` refuses it")

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from agents.config import AgentConfig
-from deploy.cli.scenario_checks import scale_remarks
+from deploy.cli.scenario_checks import interest_remarks, scale_remarks, team_remarks
 from deploy.scenario import FOLDER, TeamSettings, find, parse_set, resolve, targets_in_words, team_counts, toml_text
 from protocol.settings import BadSetting, CommonSettings, convert
 from tests.docs import blocks_of
@@ -119,6 +119,26 @@ def test_a_bin_or_a_speed_that_is_too_large_for_what_the_sensors_see_is_remarked
     assert fast.startswith("filter.speed = 2: crosses the reach of cam, 2 m, in 4.0 ticks; should be the usual speed of your targets,")
     assert remarks(extraction__bin=0.41) and remarks(filter__speed=0.81)
     assert [name for name in SHIPPED if scale_remarks(resolve(name))] == []
+
+
+def test_neighbours_alone_with_sensors_much_larger_than_those_of_the_paper_are_remarked_on() -> None:
+    def remarks(angle: float, radius: float, **settings: str) -> list[str]:
+        own = {"team.composition": "2X+2D", "sensors.X.angle": angle, "sensors.X.radius": radius}
+        return interest_remarks(resolve("quick", {"timing.interest": "neighbours", **own, **settings}))
+
+    assert remarks(360.0, 1000.0) == remarks(240.0, 25.0) == remarks(45.0, 2000.0, **{"timing.interest": "all"}) == []
+    wide, far = remarks(45.0, 2000.0)
+    assert "margin of 14 m, and a COD may jump by 2599 m: some may be missed; should be 'all'" in wide
+    assert "points 6 m apart, and a sensor reaches 2000 m: the choice takes long; should be 'all'" in far
+    assert len(remarks(45.0, 25.0)) == len(remarks(360.0, 1001.0)) == 1
+
+
+def test_classes_that_a_team_does_not_read_are_remarked_on() -> None:
+    assert team_remarks(resolve("quick", {"team.composition": "2A", "team.triple": "ABC"})) == [
+        "team.triple = 'ABC': should be left out with team 2A: teams 2, 3, 4, 5 alone have it"
+    ]
+    assert team_remarks(resolve("quick", {"team.composition": "2", "team.triple": "ABC"})) == []
+    assert [name for name in SHIPPED if team_remarks(resolve(name))] == []
 
 
 @pytest.mark.parametrize(
