@@ -10,12 +10,22 @@ from protocol.message import Message
 
 
 def fields(message: Message) -> dict[str, Any]:
-    """A message for people: its fields by name, arrays as lists of rows."""
+    """A message for people: its fields by name, arrays as lists of rows, bytes that are no array in hexadecimal."""
     found: dict[str, Any] = {"type": type(message).__struct_config__.tag}
     for name in message.__struct_fields__:
-        value = getattr(message, name.removesuffix("_bytes"))
-        found[name.removesuffix("_bytes")] = value.tolist() if isinstance(value, np.ndarray) else msgspec.to_builtins(value)
+        attribute = name.removesuffix("_bytes")
+        value = getattr(message, attribute if hasattr(message, attribute) else name)  # `label_numbers` have no attribute that reads them
+        found[attribute] = _plain(value)
     return found
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, bytes):
+        return value.hex()
+    if not isinstance(value, np.ndarray):
+        return msgspec.to_builtins(value)
+    rows = value.tolist()
+    return rows if value.dtype.names is None else [[_plain(item) for item in row] for row in rows]  # a component holds an array itself
 
 
 def plain_line(heard: KeyedPayload) -> str:

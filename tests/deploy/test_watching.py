@@ -2,9 +2,11 @@
 
 import json
 import socket
+import struct
 from collections.abc import Callable
 from pathlib import Path
 
+import msgspec
 import pytest
 import zenoh
 
@@ -15,10 +17,12 @@ from deploy.cli.terminal import table_console
 from deploy.cli.terminal_map import swarm_map
 from deploy.scenario import resolve, toml_text
 from protocol import codec
+from protocol.message import Message
 from protocol.messages import Command
 from protocol.node import Alive, Rejected, Started, Stop, Subscribe, Timer, Unsubscribe, received
 from protocol.observer_messages import Truth
 from protocol.settings import BadSetting
+from tests.protocol.samples import GOSSIP, SAMPLES
 
 COMMAND = Command(sender="s1", incarnation=1, tick=7, velocity=(1.0, 2.0), turn_rate=0.5)
 
@@ -164,6 +168,19 @@ def test_a_known_message_is_printed_as_json_with_its_arrays_spelled_out() -> Non
     assert (line["key"], line["type"], line["tick"]) == ("covey/r/truth", "truth", 3)
     assert (line["poses"], line["targets"]) == ([[0.0, 0.0, 0.0]], [])
     assert "poses_bytes" not in line
+
+
+@pytest.mark.parametrize("sample", [sample for _, _, sample in SAMPLES], ids=lambda sample: type(sample).__name__)
+def test_a_message_of_every_kind_is_printed_with_all_its_fields(sample: Message) -> None:
+    line = json.loads(plain_line(KeyedPayload("k", b"", sample, "")))
+    assert set(line) == {"key", "type", *(name.removesuffix("_bytes") for name in sample.__struct_fields__)}
+    assert block(KeyedPayload("k", b"", sample, "")).startswith("k\n  type")
+
+
+def test_the_labels_of_a_gossip_are_those_of_its_particles_and_plain_bytes_are_hexadecimal() -> None:
+    gossip = msgspec.structs.replace(GOSSIP, labels_bytes=struct.pack("<2Q", 0, 9), label_numbers_bytes=b"\1" * 60, claim_ages=b"\0\2\xff")
+    line = json.loads(plain_line(KeyedPayload("k", b"", gossip, "")))
+    assert (line["labels"], line["label_numbers"], line["claim_ages"]) == ([9] * 60, "01" * 60, "0002ff")
 
 
 def test_an_unknown_message_is_printed_raw_and_unpacked_where_it_is_msgpack() -> None:
