@@ -114,7 +114,7 @@ class Operations:
             self._children[name].tell(as_line(self._links.reception(name)))
 
     def _restart(self, child: Child) -> None:
-        """Bring a process back under its name, with the next incarnation; a restarted world goes on from the last truth.
+        """Bring a process back under its name, with the next incarnation of all that had it; a restarted world goes on from the last truth.
 
         Raises BadSetting when the machine does not let it: a disk is full, or there are too many processes.
         """
@@ -135,10 +135,11 @@ class Operations:
             child.process.kill()
             child.process.wait()
             child.poll()
+        newest = self._scorer.newest.get(child.token, 0)  # of a process that was started by hand, or of a bridge
         if truth is not None:
-            child.start("--restore", str(self._directory.truth))
+            child.start("--restore", str(self._directory.truth), newest=newest)
         else:
-            child.start()
+            child.start(newest=newest)
             self._start.expect()
             self._tell_links(child.name)
 

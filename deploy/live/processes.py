@@ -25,6 +25,7 @@ State = Literal["running", "awake", "paused", "dead"]
 
 CRASHES = (1, *(-number for number in (signal.SIGSEGV, signal.SIGABRT, signal.SIGBUS, signal.SIGILL, signal.SIGFPE)))
 LAST_BYTES = 1 << 16  # of a log, in which the cause of an end is looked for
+LARGEST_INCARNATION = 2**63 - 1
 EXIT_FENCED = 3  # of an agent that has met a younger process of its name
 
 
@@ -68,14 +69,22 @@ class Child:
         }[state]
 
     @property
+    def token(self) -> tuple[str, str]:
+        """Role and name of its liveliness token."""
+        return ("body", self.body_of) if self.body_of else (self.package.removesuffix("s"), self.name)
+
+    @property
     def pid(self) -> int | None:
         """Its process id while it runs and as soon as it is known."""
         return self.process.pid if self.process else None
 
-    def start(self, *extra: str) -> None:
-        """Start the next incarnation; raises OSError, and nothing has changed but its number."""
+    def start(self, *extra: str, newest: int = 0) -> None:
+        """Start the next incarnation; raises OSError, and nothing has changed but its number.
+
+        `newest`: the largest incarnation that is known of its name. Peers refuse a smaller one than they have heard.
+        """
         assert self.process is None
-        self.incarnation += 1
+        self.incarnation = min(max(self.incarnation, newest), LARGEST_INCARNATION - 1) + 1
         log = self.directory.log(self.name)
         self.log_begin = log.stat().st_size if log.exists() else 0
         self._fork(extra)

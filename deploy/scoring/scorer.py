@@ -82,6 +82,7 @@ class Scorer(Node):
         self.on_finish: Callable[[], None] = lambda: None  # called once all is scored
         self.on_twin: Callable[[str, int, int], None] = lambda name, known, other: None  # called when a second process has a name
         self.on_differing: Callable[[str, tuple[str, ...]], None] = lambda name, fields: None  # called when settings differ
+        self.newest: dict[tuple[str, str], int] = {}  # largest incarnation of each member and the world that had a token, by role and name
         self.greeted: set[str] = set()  # names of processes with at least one Hello, and of bodies with a token
         self.deaths = Deaths()
         self.tick_rate = TickRateMeter(scenario)
@@ -131,6 +132,9 @@ class Scorer(Node):
     def _take(self, event: Event, now: float) -> None:
         self.on_event(event, now)
         self.is_over = self.is_over or ends_run(event, self.truth, self.last_tick + 1)
+        if isinstance(event, Alive) and event.name in ("world", *self._scenario.members):
+            token = event.role, event.name
+            self.newest[token] = max(event.incarnation, self.newest.get(token, 0))
         match event:
             case Received(batch=batch):
                 self._tally.messages += len(batch)

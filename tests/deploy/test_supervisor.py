@@ -15,6 +15,7 @@ from deploy.live.supervisor import Supervisor
 from deploy.scenario import FaultSettings, resolve
 from deploy.storage.kept_runs import kept_runs
 from deploy.storage.run_directory import RunDirectory
+from protocol.node import Alive
 from protocol.observer_messages import Truth
 from protocol.settings import BadSetting
 
@@ -286,6 +287,29 @@ def test_a_run_whose_first_process_cannot_be_started_ends_with_the_reason_and_a_
         asyncio.run(supervisor.run())
     result = json.loads(supervisor.directory.result.read_text())
     assert (result["exit_code"], result["ticks"], supervisor.directory.scores.exists()) == (2, 0, True)
+
+
+@pytest.mark.parametrize(
+    ("who", "role", "name", "heard", "next_one"),
+    [
+        ("s2.body", "body", "s2", [7, 5], 8),  # a bridge was the body meanwhile
+        ("s2", "agent", "s2", [1_796_000_000_000], 1_796_000_000_001),
+        ("s2", "agent", "s1", [7], 2),
+        ("s2", "body", "s2", [7], 2),
+        ("s2", "agent", "s2", [2**63 - 1], 2**63 - 1),  # there is no larger one
+    ],
+)
+def test_who_is_restarted_follows_the_newest_incarnation_of_its_name(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, who: str, role: str, name: str, heard: list[int], next_one: int
+) -> None:
+    """Its peers have heard of that one and would refuse a smaller one."""
+    supervisor = made(tmp_path, monkeypatch, "own")
+    let_run(supervisor, {})
+    for incarnation in heard:
+        supervisor.scorer.handle(Alive(role, name, incarnation), 0.0)
+    monkeypatch.setattr(Child, "_fork", lambda self, extra: None)
+    ask(supervisor, "restart", who)
+    assert supervisor.children[who].incarnation == next_one
 
 
 def test_a_world_runs_on_when_the_truth_for_the_next_one_cannot_be_written(supervisor: Supervisor, monkeypatch: pytest.MonkeyPatch) -> None:
