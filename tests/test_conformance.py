@@ -16,6 +16,7 @@ import msgpack
 import msgspec
 import pytest
 
+from agents.agent import Agent
 from agents.membership.peer_table import OWN, UNASKED, UNKNOWN_SENSOR, PeerTable
 from protocol.codec import decode, encode
 from protocol.fields import Malformed
@@ -24,6 +25,7 @@ from protocol.live import session_config
 from protocol.message import WIRE_VERSION, Message
 from protocol.messages import KINDS, Beacon, BodyPose, Command, Gossip, Halt, Hello, Observation
 from protocol.observer_messages import Estimate, Truth
+from protocol.reception import Reception
 from protocol.sensing import WedgeSensor
 from protocol.settings import NetworkSettings
 
@@ -447,6 +449,7 @@ def test_the_limits_of_settings_are_those_of_the_page() -> None:
     full = {"x" * int(most - value_size - 1): {"b": 1.5}}
     assert with_settings(full) is None and with_settings({**full, "a": {}}) == "size"
     assert with_settings({"a": {"b": -largest}}) is None and with_settings({"a": {"b": math.nextafter(largest, math.inf)}}) == "range"
+    assert row.limits.endswith("any integer") and with_settings({"a": {"b": 2**63 - 1}}) is None  # filter.seed is as large
 
 
 def test_the_version_and_the_size_limit_of_the_page_are_those_of_the_code() -> None:
@@ -469,6 +472,14 @@ def test_the_page_gives_every_reason_for_which_an_agent_refuses_a_gossip() -> No
     listed = re.findall(r"^\| `(\w+)` \|", PAGE.partition("### When a gossip counts")[2].partition("\n## ")[0], re.MULTILINE)
     source = inspect.getsource(PeerTable._judge).partition('"""')[2].partition('"""')[2]
     assert set(listed) == {OWN, UNASKED, UNKNOWN_SENSOR, *re.findall(r'"(\w+)"', source)} and len(listed) == len(set(listed))
+
+
+def test_the_page_gives_every_other_reason_that_an_agent_counts() -> None:
+    text = PAGE.partition("Beside the reasons of this page an agent counts")[2].partition("\n\n")[0]
+    hello = set(re.findall(r'return "(\w+)"', inspect.getsource(PeerTable.take_hello)))
+    own = set(re.findall(r'"rejected\.(\w+)"', inspect.getsource(Agent)))
+    quarantined = set(re.findall(r'Rejected\([^"\n]+"/"[^"\n]+"(\w+)"', inspect.getsource(Reception)))
+    assert set(re.findall(r"`(?:rejected\.)?(\w+)`", text)) == hello | own | quarantined and len(hello | own | quarantined) == 5
 
 
 def test_the_example_in_bytes_is_what_the_encoder_writes() -> None:

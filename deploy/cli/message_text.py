@@ -6,6 +6,8 @@ import msgspec
 import numpy as np
 
 from deploy.cli.listener import KeyedPayload
+from protocol.codec import decode
+from protocol.fields import Malformed
 from protocol.message import Message
 
 
@@ -29,10 +31,11 @@ def _plain(value: Any) -> Any:
 
 
 def plain_line(heard: KeyedPayload) -> str:
-    """One line of JSON: the key with the message, or with the raw bytes and the reason why they do not decode."""
+    """One line of JSON: the key with the message, or with the raw bytes, the reason why they do not decode, and in words `why`."""
     if heard.message is not None:
         return msgspec.json.encode({"key": heard.key, **fields(heard.message)}).decode()
-    raw: dict[str, Any] = {"key": heard.key, "unknown": heard.reason, "bytes": len(heard.payload), "raw": heard.payload[:256].hex()}
+    raw: dict[str, Any] = {"key": heard.key, "unknown": heard.reason, "why": _why(heard)}
+    raw |= {"bytes": len(heard.payload), "raw": heard.payload[:256].hex()}
     try:
         raw["msgpack"] = msgspec.to_builtins(msgspec.msgpack.decode(heard.payload), builtin_types=(bytes,), str_keys=True)
         return msgspec.json.encode(raw).decode()
@@ -44,10 +47,19 @@ def plain_line(heard: KeyedPayload) -> str:
 def block(heard: KeyedPayload, most: int = 6) -> str:
     """Several lines for a terminal: the key, then field by field, long arrays by their first rows."""
     if heard.message is None:
-        lines = [heard.key, f"  {heard.reason}, {len(heard.payload)} bytes: {heard.payload[:64].hex(' ')}"]
+        lines = [heard.key, f"  {heard.reason}: {_why(heard)}", f"  {len(heard.payload)} bytes: {heard.payload[:64].hex(' ')}"]
     else:
         lines = [heard.key, *(f"  {name:14} {_short(value, most)}" for name, value in fields(heard.message).items())]
     return "\n".join(map(printable, lines))
+
+
+def _why(heard: KeyedPayload) -> str:
+    """The broken rule, with the name of the field; empty for a good message, of a sender in quarantine."""
+    try:
+        decode(heard.key, heard.payload)
+    except Malformed as error:
+        return str(error)
+    return ""
 
 
 def printable(line: str) -> str:

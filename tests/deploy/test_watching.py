@@ -22,7 +22,7 @@ from protocol.messages import Command
 from protocol.node import Alive, Rejected, Started, Stop, Subscribe, Timer, Unsubscribe, received
 from protocol.observer_messages import Truth
 from protocol.settings import BadSetting
-from tests.protocol.samples import GOSSIP, SAMPLES
+from tests.protocol.samples import GOSSIP, GOSSIP_BYTES, GOSSIP_KEY, SAMPLES, altered
 
 COMMAND = Command(sender="s1", incarnation=1, tick=7, velocity=(1.0, 2.0), turn_rate=0.5)
 
@@ -188,6 +188,14 @@ def test_an_unknown_message_is_printed_raw_and_unpacked_where_it_is_msgpack() ->
     assert (line["unknown"], line["bytes"], line["raw"], line["msgpack"]) == ("key", 4, "81a17805", {"x": 5})
     assert "msgpack" not in json.loads(plain_line(KeyedPayload("a/b", b"\xc1\xff", None, "key")))
     assert "c1 ff" in block(KeyedPayload("a/b", b"\xc1\xff", None, "format"))
+
+
+def test_a_message_that_is_refused_is_printed_with_the_field_that_breaks_a_rule() -> None:
+    heard = KeyedPayload(GOSSIP_KEY, altered(GOSSIP_KEY, GOSSIP_BYTES, tick=-1), None, "range")
+    assert "$.tick" in json.loads(plain_line(heard))["why"] and "range: gossip: Expected `int` >= 0 - at `$.tick`" in block(heard)
+    heard = KeyedPayload(GOSSIP_KEY, altered(GOSSIP_KEY, GOSSIP_BYTES, ids=bytes(480)), None, "range")
+    assert json.loads(plain_line(heard))["why"] == "ids: should be strictly ascending"
+    assert json.loads(plain_line(KeyedPayload(GOSSIP_KEY, GOSSIP_BYTES, None, "quarantine")))["why"] == ""
 
 
 def test_long_arrays_are_cut_in_a_terminal() -> None:
