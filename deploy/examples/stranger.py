@@ -4,7 +4,7 @@
 
 It takes a seat in a running swarm with `interest = "all"`, owns a power cell, and drives its centroid of detection (COD) to the centroid of
 the particles in it. It keeps these as they come and moves them on, by the random numbers that all agents share, so that no mass is lost or
-counted twice. It leaves out the rest of the filter: correction, births, estimates of targets.
+counted twice. It leaves out the rest of the filter: correction, births, estimates of targets. It trusts what it hears (*Decode limits*).
 A particle is (x, y, vx, vy, weight, id). A generator is (name, x, y, power radius). A claim lists generators, its owner's first.
 """
 
@@ -167,7 +167,7 @@ class Stranger:
             raise SystemExit(3)  # a younger process has my name
         said = msgpack.unpackb(sample.payload.to_bytes()) if kind != "alive" else Map(sender=self.name)
         sender = said["sender"]
-        if sender == self.name or said["wire"] != WIRE:
+        if (sender == self.name and kind != "observation") or said.get("wire", WIRE) != WIRE:  # my body's bear my name
             return
         if kind == "hello":
             self.greet_at, self.greeted[sender] = self.greet_at if sender in self.greeted else now, now
@@ -191,9 +191,9 @@ class Stranger:
         self.open = self.say("gossip", {**mine, **owned, "listening": self.listening, "scanned": seen.get("scanned", True)})
 
     def awaited(self) -> set[str]:
-        """The peers whose gossip of this round is still to come: alive, and not silent for long."""
-        oldest = self.tick - self.settings["timing"]["silent_rounds"]
-        return {name for name, _ in self.alive if self.last.get(name, self.tick) >= oldest} - self.gossips.get(self.tick, {}).keys()
+        """The peers whose gossip of this round is still to come: alive, and not silent for long. A newcomer awaits the unheard as well."""
+        oldest, unheard = self.tick - self.settings["timing"]["silent_rounds"], self.tick if self.listening else -math.inf
+        return {name for name, _ in self.alive if self.last.get(name, unheard) >= oldest} - self.gossips.get(self.tick, {}).keys()
 
     def generators(self) -> list[Entry]:
         """The generators of this round in the order of names: of each who lives and has a cell the newest gossip, if it is not too old."""

@@ -2,10 +2,13 @@
 
 import importlib.util
 from pathlib import Path
-from types import ModuleType
+from types import ModuleType, SimpleNamespace
+from typing import Any
 
+import msgpack
 import numpy as np
 import pytest
+import zenoh
 
 from agents.config import AgentConfig, FilterSettings
 from agents.coverage import cells
@@ -13,7 +16,11 @@ from agents.tracking import phd
 from agents.tracking.claims import make_claim, owned
 from agents.tracking.particles import Particles, unlabelled
 from agents.tracking.step import Step
+from protocol.codec import encode
 from protocol.geometry import polygon_area, rectangle
+from protocol.keys import message_key
+from protocol.message import Message
+from protocol.messages import Gossip, Hello, Observation
 from protocol.random_streams import random_key
 from protocol.settings import ArenaSettings
 
@@ -76,6 +83,47 @@ def test_its_cells_and_claims_are_ours(stranger: ModuleType) -> None:
         stated = make_claim(said, np.array([other[1:] for other in claim]))
         assert [stranger.owns(claim, x, y) for x, y in grid.tolist()] == owned(grid, stated, arena).tolist()
     assert sum(areas) == pytest.approx(1600.0) and areas[7] == 0.0
+
+
+class Session:
+    """A session that keeps what is published."""
+
+    def __init__(self) -> None:
+        self.said: list[tuple[str, dict[str, Any]]] = []
+
+    def put(self, key: str, payload: bytes, **options: object) -> None:
+        self.said.append((key, msgpack.unpackb(payload)))
+
+
+def sample(message: Message) -> SimpleNamespace:
+    payload = SimpleNamespace(to_bytes=lambda: encode(message))
+    return SimpleNamespace(key_expr=message_key("demo", message), payload=payload, kind=zenoh.SampleKind.PUT)
+
+
+def test_it_takes_what_a_body_of_its_own_says_and_passes_over_its_own_messages(stranger: ModuleType) -> None:
+    """A body has the name of its agent."""
+    session = Session()
+    agent = stranger.Stranger(session, "demo", "s3", [])
+    config = AgentConfig()
+    agent.take(sample(Hello(sender="s1", incarnation=1, settings=config.shared_settings())))
+    agent.take(sample(Gossip(sender="s3", incarnation=1, tick=4, pose=(1.0, 1.0, 0.0), cod=(1.0, 1.0), power_radius=1.0, unused=1.0)))
+    assert agent.gossips == {} and session.said == []
+    agent.take(sample(Observation(sender="s3", recipient="s3", incarnation=1, tick=5, time=1.25, pose=(1.0, 2.0, 0.0))))
+    [(key, gossip)] = session.said
+    assert (key, gossip["tick"], gossip["pose"]) == ("covey/demo/gossip/s3", 5, [1.0, 2.0, 0.0])
+
+
+def test_it_awaits_a_peer_that_it_has_never_heard_only_as_a_newcomer(stranger: ModuleType) -> None:
+    agent = stranger.Stranger(Session(), "demo", "s3", [])
+    agent.settings, agent.tick, agent.alive, agent.last = (
+        {"timing": {"silent_rounds": 4}},
+        9,
+        {("s1", 1), ("s2", 1), ("s4", 1)},
+        {"s1": 5, "s4": 4},
+    )
+    assert agent.awaited() == {"s1", "s2"}
+    agent.listening = False
+    assert agent.awaited() == {"s1"}
 
 
 def test_a_draw_keeps_the_mass_and_gives_every_particle_an_id_of_its_own(stranger: ModuleType) -> None:
