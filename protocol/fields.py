@@ -19,7 +19,7 @@ MAX_ROWS = 8192  # of every array and of every list of names that a round reads
 MAX_DETECTIONS = MAX_NAMES = MAX_ROWS
 LARGEST_NUMBER = 1.0e6  # of a message, but for areas and times: no coordinate in m is larger
 LARGEST_AREA = LARGEST_NUMBER**2  # m^2
-LARGEST_TIME = 1.0e12  # largest world time, s
+LARGEST_TIME = 1.0e9  # largest world time, s: that of the longest run; files and dates hold it
 MAX_SETTINGS, VALUE_SIZE = 65536, 8  # characters of all settings of a Hello; size of a number or boolean
 LARGEST_SETTING = 1.0e12
 

@@ -19,8 +19,7 @@ TileNumber = Annotated[int, msgspec.Meta(ge=0, le=9_999_999)]
 Number = Annotated[float, msgspec.Meta(ge=-LARGEST_NUMBER, le=LARGEST_NUMBER)]  # of either sign: a coordinate, an angle, a speed
 Magnitude = Annotated[float, msgspec.Meta(ge=0.0, le=LARGEST_NUMBER)]  # never negative, whatever its unit: a distance, a mass
 Area = Annotated[float, msgspec.Meta(ge=0.0, le=LARGEST_AREA)]
-Time = Annotated[float, msgspec.Meta(ge=-LARGEST_TIME, le=LARGEST_TIME)]
-Duration = Annotated[float, msgspec.Meta(ge=0.0, le=LARGEST_TIME)]
+Time = Annotated[float, msgspec.Meta(ge=0.0, le=LARGEST_TIME)]  # s, since the start of the world, or of a round
 RowsOf8Bytes = Annotated[bytes, msgspec.Meta(max_length=8 * MAX_ROWS)]  # an array (`fields.Rows`) of at most `MAX_ROWS` rows of 8 bytes
 RowsOf16Bytes = Annotated[bytes, msgspec.Meta(max_length=16 * MAX_ROWS)]
 RowsOf24Bytes = Annotated[bytes, msgspec.Meta(max_length=24 * MAX_ROWS)]

@@ -22,7 +22,6 @@ from protocol.fields import (
 )
 from protocol.message import (
     Area,
-    Duration,
     Magnitude,
     Message,
     Natural,
@@ -54,7 +53,7 @@ class Estimate(Message, frozen=True, kw_only=True, dict=True, tag="estimate"):
     diagram_hash: Natural = 0  # hash of the generators from which the cell was cut
     neighbours: tuple[str, ...] = ()  # the agents that bound the cell
     counters: dict[str, int] = {}  # rounds, late, missing, skipped, rejected.<reason>, heard, ...
-    round_seconds: Duration = 0.0  # from the opening of the last shared round to its end, waiting included; 0 in virtual time
+    round_seconds: Time = 0.0  # from the opening of the last shared round to its end, waiting included; 0 in virtual time
     pace: PaceNumber = 1  # the sender shares with its peers the ticks that this number divides
 
     cell = array_field("cell_bytes", CELL)  # (V, 2) float64

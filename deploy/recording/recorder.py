@@ -38,7 +38,6 @@ FLUSH_SECONDS = 0.9
 CHUNK_SECONDS = 5.0  # of the world; larger chunks save nothing more
 CHUNK_BYTES = 1 << 20  # of payload; a flood fills memory up to here, in both writers: 4 MiB cost up to 24, and a file only 1 % smaller
 WRITER_BYTES = 1 << 40  # the writers are never to close a chunk by themselves
-LATEST = 2**63 - 1  # ns, of a log time; the time of a Truth may be 500 times as long, and anybody may say one
 MOST_CHANNELS = 60_000  # keys of one recording: an MCAP file numbers them with 16 bits
 LEVEL = 6  # of zstd: the file is 3 % smaller than at the library's 3, at 4 ms more for a MB; higher levels save nothing more
 PROFILE = "covey"
@@ -116,7 +115,7 @@ class Recorder:
         if isinstance(event, Received):
             for message, payload in zip(event.batch.messages, event.batch.payloads):
                 if isinstance(message, Truth):
-                    self._now = max(self._now, min(round(1e9 * message.time), LATEST))
+                    self._now = max(self._now, round(1e9 * message.time))
                 self._record(message_key(self._run, message), payload)
         elif isinstance(event, Alive | Gone):
             key = token_key(self._run, event.role, event.name, event.incarnation)

@@ -330,14 +330,6 @@ def test_made_up_keys_end_no_recording(tmp_path: Path, monkeypatch: pytest.Monke
     assert recorder.lost == 2 and recorder.stopped is None
 
 
-def test_a_truth_of_a_time_that_no_file_can_hold_ends_no_recording(tmp_path: Path) -> None:
-    recorder = Recorder(tmp_path / "a.mcap", scenario(), None)
-    for time in (1.0, 1.0e12, 2.0):
-        recorder.see(heard(Truth(sender="world", incarnation=1, tick=1, time=time)), 0.0)
-    recorder.close()
-    assert len(list(Recording(tmp_path / "a.mcap").entries())) == recorder.messages == 3
-
-
 @pytest.mark.parametrize(("name", "text"), [("run.toml", "[run"), ("versions.json", "{"), ("run.toml", None)])
 def test_a_recording_whose_head_is_damaged_is_refused_by_name(tmp_path: Path, name: str, text: str | None) -> None:
     about = {"run.toml": '[run]\nscenario = "quick"\n', "versions.json": "{}", "run": "quick"}

@@ -1,6 +1,7 @@
 """Messages: arrays read back, and every rule of a receiver with the smallest message that breaks it."""
 
 import math
+from datetime import datetime, timedelta
 from typing import Any
 
 import msgspec
@@ -10,13 +11,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
+from deploy.scenario import resolve
 from protocol.codec import decode, encode
-from protocol.fields import LARGEST_NUMBER, Malformed, pack
+from protocol.fields import LARGEST_NUMBER, LARGEST_TIME, Malformed, pack
 from protocol.keys import message_key
 from protocol.message import Message
 from protocol.messages import KINDS, Beacon, Command, Gossip, Hello, Observation
 from protocol.observer_messages import Estimate, Truth
 from protocol.sensing import SENSOR_CLASSES
+from protocol.settings import BadSetting
 
 GOSSIP = Gossip(
     sender="s1",
@@ -128,6 +131,8 @@ BROKEN = [
     (HELLO, {"heard": ("s",) * 8193}, "size", "heard"),
     (ESTIMATE, {"mass": -1.0}, "range", "mass"),
     (ESTIMATE, {"round_seconds": math.nan}, "range", "round_seconds"),
+    (TRUTH, {"time": -0.25}, "range", "time"),
+    (TRUTH, {"time": 1.1e9}, "range", "time"),
     (TRUTH, {"targets_bytes": bytes(16)}, "shape", "target"),
     (TRUTH, {"bodies": ("s1",)}, "shape", "body"),
     (TRUTH, {"ids_bytes": b"\0"}, "shape", "ids"),
@@ -217,3 +222,10 @@ def test_an_error_never_repeats_a_long_name() -> None:
     with pytest.raises(Malformed) as caught:
         check(changed(GOSSIP, claim_names=("x" * 100_000, "s2")))
     assert len(str(caught.value)) < 200
+
+
+def test_the_largest_time_is_that_of_the_longest_run_and_dates_and_recordings_hold_it() -> None:
+    with pytest.raises(BadSetting, match="seconds"):
+        resolve("quick", {"run.seconds": math.nextafter(LARGEST_TIME, math.inf)})
+    assert resolve("quick", {"run.seconds": LARGEST_TIME}).run.seconds == LARGEST_TIME
+    assert datetime(2026, 1, 1) + timedelta(seconds=LARGEST_TIME) < datetime.max and LARGEST_TIME * 1e9 < 2**63
