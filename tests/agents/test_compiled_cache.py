@@ -7,6 +7,7 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -135,7 +136,7 @@ def test_loops_are_complete_when_a_process_that_compiled_all_has_said_so_and_not
     assert cache.compiled_before()
 
 
-def test_another_python_or_another_numba_has_loops_of_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_another_python_or_another_numba_or_python_without_docstrings_has_loops_of_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
     mine, folders = cache.folder.__wrapped__, []
     assert mine() == cache.folder()
     with monkeypatch.context() as other:
@@ -144,7 +145,10 @@ def test_another_python_or_another_numba_has_loops_of_its_own(monkeypatch: pytes
     with monkeypatch.context() as other:
         other.setattr(cache.metadata, "version", lambda package: f"9.9 of {package}")
         folders.append(mine())
-    assert len({cache.folder(), *folders}) == 3
+    with monkeypatch.context() as other:
+        other.setattr(cache, "sys", SimpleNamespace(implementation=sys.implementation, flags=SimpleNamespace(optimize=2)))
+        folders.append(mine())
+    assert len({cache.folder(), *folders}) == 4
 
 
 def test_old_loops_are_removed_but_the_newest(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -187,6 +191,16 @@ def test_without_the_compiler_the_loops_run_as_plain_python() -> None:
         [sys.executable, "-c", program], cwd=ROOT, env=variables, capture_output=True, text=True, timeout=110, check=False
     )
     assert done.stdout == "function\n", done.stderr
+
+
+def test_without_the_compiler_hashes_overflow_without_a_warning() -> None:
+    """Each agent wrote warnings of numpy into its log."""
+    program = "from agents.compiled.birth_kernels import background; import numpy as np; "
+    program += "print(background(2, 2, np.uint64(7), 10.0, 10.0, 1.0, np.zeros((4096, 2)))[0].shape)"
+    variables = {**environment(), "NUMBA_DISABLE_JIT": "1"}
+    command = [sys.executable, "-W", "error::RuntimeWarning", "-c", program]
+    done = subprocess.run(command, cwd=ROOT, env=variables, capture_output=True, text=True, timeout=110, check=False)
+    assert done.stdout == "(2, 4)\n", done.stderr
 
 
 def test_loops_that_cannot_be_kept_are_told_where_and_not_in_the_words_of_numba(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
