@@ -210,5 +210,8 @@ def test_an_environment_of_another_user_is_used_while_it_is_ready_and_else_one_o
             environment = {"PATH": "", "XDG_CACHE_HOME": str(caches), "COVEY_EXTRAS": extra}
             done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=60, check=False, user=user)
             assert (done.returncode, done.stdout) == (0, f"{used} {folder}/covey\n"), done.stderr
+        environment = {"PATH": "", "XDG_CACHE_HOME": "/proc/none", "COVEY_EXTRAS": "study"}
+        done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=60, check=False, user=user)
+        assert done.returncode == 2 and "XDG_CACHE_HOME names a folder that can be written to" in done.stderr
         folder.chmod(0o755)
         (folder / ".venv").chmod(0o755)

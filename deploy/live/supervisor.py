@@ -242,6 +242,10 @@ class Supervisor:
         zygote.collect()
         if zygote.is_gone:
             asyncio.get_running_loop().remove_reader(zygote.fileno())
+            if zygote.is_ready and not self._winding_down:  # the start tells of an earlier end
+                self._tell(
+                    "the process that prepares agents has ended, and with it all that it has started; `covey restart` brings them back"
+                )
         self._reap()
 
     def _reap(self) -> None:

@@ -3,7 +3,8 @@
 Each child is a process of its own: its own Zenoh session, log, process group, random streams and end. The zygote opens no session
 and starts no thread. It ends with its supervisor, and its children with it; `--spawn exec` does without it.
 
-The supervisor never waits for the zygote: it sends requests and hears messages whenever they come, each a JSON object.
+The supervisor sends requests and hears messages whenever they come, each a JSON object. It waits only for the end of an agent that it
+replaces, and not for long.
 
     {"number": 3, "words": [...]}   to the zygote: fork a child with this command line; its stdin and its log come along
     {"ready": true}                 from it: everything has been imported, and compiled
@@ -13,6 +14,7 @@ The supervisor never waits for the zygote: it sends requests and hears messages 
 """
 
 import contextlib
+import errno
 import gc
 import json
 import os
@@ -32,6 +34,7 @@ from deploy.installation import ROOT, command
 PROGRAM = command("deploy.live.zygote")
 EXIT_UNFORKED = 1  # of a child that could not be forked
 END_SECONDS = 2.0  # for the zygote to end by itself once its children have
+WAIT_SECONDS = 10.0  # at most for the zygote to tell the end of a child, in which the supervisor does nothing else
 
 
 @dataclass
@@ -50,8 +53,11 @@ class Forked:
         return self.returncode
 
     def wait(self) -> int:
-        """Wait for the end; the exit code."""
+        """Wait for the end; the exit code. Raises TimeoutError when the zygote does not tell it: it may be stopped."""
+        end = time.monotonic() + WAIT_SECONDS
         while self.poll() is None:
+            if time.monotonic() > end:
+                raise TimeoutError(errno.ETIMEDOUT, self.zygote.silence())
             time.sleep(0.005)
         assert self.returncode is not None
         self.stdin.close()
@@ -146,6 +152,13 @@ class Zygote:
             self._requests.pop(message["failed"]).returncode = EXIT_UNFORKED
         elif "ended" in message:
             self._children.pop(message["ended"]).returncode = message["code"]
+
+    def silence(self) -> str:
+        """The complaint that it does not answer."""
+        pid = self._process.pid
+        return (
+            f"the process that prepares agents has not answered for {WAIT_SECONDS:.0f} s; `kill -CONT {pid}` lets it go on if it is stopped"
+        )
 
     def kill(self) -> None:
         """End it at once, and with it its children."""

@@ -328,3 +328,25 @@ def test_warnings_about_others_end_after_64_for_anybody_can_cause_them(superviso
         supervisor._on_differing("s1", ("filter.gate",))
     told = capsys.readouterr().out.splitlines()
     assert len(told) == 64 and sum("two processes are called x" in line for line in told) == 32
+
+
+class GoneZygote:
+    """The supervisor's end of a zygote that has ended after its start."""
+
+    is_ready = is_gone = True
+
+    def fileno(self) -> int:
+        return 0
+
+    def collect(self) -> None:
+        """Nothing is left to be read."""
+
+
+def test_the_end_of_the_process_that_forks_agents_is_told_before_all_of_them_die(
+    supervisor: Supervisor, capsys: pytest.CaptureFixture[str]
+) -> None:
+    async def hear() -> None:
+        supervisor._hear(GoneZygote())  # type: ignore[arg-type]
+
+    asyncio.run(hear())
+    assert "the process that prepares agents has ended, and with it all that it has started; `covey restart`" in capsys.readouterr().out
