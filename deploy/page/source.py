@@ -6,12 +6,15 @@ import time
 from collections.abc import Sequence
 from typing import Any, Protocol
 
+import msgspec
+
 from deploy.faults.faults import LINK_VERBS
 from deploy.live.control import ask
 from deploy.page.picture import Picture
 from deploy.page.simulated_swarm import DONE_TO_BOTH, SimulatedSwarm, about_two
 from deploy.scoring.result import Fault
 from deploy.scoring.scorer import Score, Scorer
+from deploy.scoring.status import TickRate
 from deploy.storage.run_directory import RunDirectory
 from protocol.settings import BadSetting
 
@@ -84,6 +87,7 @@ class LiveSource:
         self._look_again = asyncio.Event()
         self._faults = 0  # of the supervisor's list that stand on the time line
         self._waiting = ""  # what the first tick waits for
+        self._tick_rate: TickRate | None = None  # as the supervisor counts it, which has heard agents that died before this page began
         self._shown = -1  # the newest tick of which both swarms have been shown, or the live one alone
 
     def scores(self) -> Sequence[Score]:
@@ -116,7 +120,7 @@ class LiveSource:
     def extra(self) -> dict[str, Any]:
         if self._waiting and self.picture.truth is None:
             return {"waiting": self._waiting}
-        tick_rate = self._scorer.tick_rate.at(time.monotonic())
+        tick_rate = self._tick_rate or self._scorer.tick_rate.at(time.monotonic())
         speeds = [None if speed is None else round(speed, 1) for speed in (tick_rate.ticks_per_s, tick_rate.asked_per_s)]
         return {"tick_rate": [*speeds, tick_rate.skipped, tick_rate.late], "advice": tick_rate.advice}
 
@@ -144,11 +148,12 @@ class LiveSource:
             await asyncio.sleep(PLAY_PERIOD)
 
     async def _poll(self) -> None:
-        """Poll the supervisor for what no message shows: the state of the start, paused agents, cut links."""
+        """Poll the supervisor for what no message shows: the state of the start, the tick rate, paused agents, cut links."""
         while True:
-            with contextlib.suppress(BadSetting, OSError, KeyError, TypeError):
+            with contextlib.suppress(BadSetting, OSError, KeyError, TypeError, msgspec.ValidationError):
                 status = (await self._control("status", ""))["data"]
                 self._waiting = status["swarm"]["waiting"]
+                self._tick_rate = msgspec.convert(status["swarm"]["tick_rate"], TickRate)
                 self.picture.pause(frozenset(row["name"] for row in status["processes"] if row["state"] == "paused"))
                 known = max(self._faults, len(self._scorer.faults))  # those of its own scorer the picture is told at once
                 for fault in status["faults"][known:]:

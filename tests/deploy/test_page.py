@@ -384,7 +384,7 @@ def test_a_paused_agent_whose_token_goes_is_paused_on_the_page_until_it_is_kille
     assert [kill.name for kill in simulation.scorer.result(0.0).kills] == ["s1"]
 
 
-def test_each_ordered_fault_stands_once_on_the_time_line_of_the_supervisors_page_and_of_one_outside(
+def test_faults_stand_once_on_the_page_of_the_supervisor_and_on_one_outside_and_both_show_its_tick_rate(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("COVEY_RUNS", str(tmp_path))
@@ -401,7 +401,8 @@ def test_each_ordered_fault_stands_once_on_the_time_line_of_the_supervisors_page
         async def answer(request: dict[str, Any]) -> Answer:
             nonlocal asked
             asked += 1
-            return {"ok": "", "data": {"swarm": {"waiting": ""}, "processes": [], "faults": supervised.scorer.faults}}
+            swarm = {"waiting": "", "tick_rate": {"ticks_per_s": 4.0, "asked_per_s": 4.0, "skipped": 53, "late": 22}}
+            return {"ok": "", "data": {"swarm": swarm, "processes": [], "faults": supervised.scorer.faults}}
 
         control = ControlServer(directory, answer)
         await control.open()
@@ -415,3 +416,4 @@ def test_each_ordered_fault_stands_once_on_the_time_line_of_the_supervisors_page
     asyncio.run(scene())
     for server in (inside, outside):
         assert [one.kind for one in server.source.picture.happenings] == ["paused", "heard", "partition"]
+        assert server.source.extra()["tick_rate"] == [4.0, 4.0, 53, 22]
