@@ -500,6 +500,7 @@ def test_the_example_in_bytes_is_what_the_encoder_writes() -> None:
         ("| connect endpoints | the seeds of `[network] seeds`, for ever, every 0.2 to 1 s |", "connect/retry/period_max_ms", 1000),
         ("| lease | 5 s, 4 keep-alives |", "transport/link/tx/lease", 5000),
         ("| lease | 5 s, 4 keep-alives |", "transport/link/tx/keep_alive", 4),
+        ("| timeout of the handshake | 60 s; 15 s where all endpoints are `udp/` |", "transport/unicast/open_timeout", 60000),
         ("| largest message | 524288 bytes |", "transport/link/rx/max_message_size", 524288),
         ("| shared memory | off |", "transport/shared_memory/enabled", False),
     ],

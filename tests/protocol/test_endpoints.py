@@ -11,6 +11,7 @@ from cryptography.hazmat.primitives import serialization
 from deploy.live.certificates import make_keys
 from protocol.endpoints import check_endpoints, check_files, free_port, own_endpoints
 from protocol.settings import BadSetting, NetworkSettings
+from protocol.zenoh_settings import session_values
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -106,3 +107,19 @@ def test_a_port_that_was_given_away_is_given_to_nobody_else(monkeypatch: pytest.
     assert len({taken, *mine}) == 3
     first.communicate("done")
     assert first.returncode == 0
+
+
+@pytest.mark.parametrize(
+    ("listen", "seeds", "seconds"),
+    [
+        (("udp/127.0.0.1:0",), (), 15),
+        (("udp/127.0.0.1:0",), ("udp/127.0.0.1:7447",), 15),
+        (("udp/127.0.0.1:0",), ("tcp/127.0.0.1:7447",), 60),
+        (("tcp/127.0.0.1:0", "udp/127.0.0.1:0"), (), 60),
+    ],
+)
+def test_a_lost_packet_of_a_handshake_costs_less_time_where_all_links_are_udp(
+    listen: tuple[str, ...], seeds: tuple[str, ...], seconds: int
+) -> None:
+    values = session_values(NetworkSettings(listen=listen, seeds=seeds))
+    assert values["transport/unicast/open_timeout"] == 1000 * seconds
