@@ -37,6 +37,7 @@ HOLD = 2.0  # a command drives a body for so long at most, s of world time, real
 MOST_PERIODS_LATE = 5  # a world that is later than this gives up catching up, real time only
 RESTORE_GAP = 2  # ticks from the last Truth that was kept to the first of a restarted world: agents may have seen one more
 RESTORE_TIMEOUT = 1.0  # s, how long a restarted world waits for those who were alive before
+MOST_GUESTS = 256  # that ever get a body, as many as are scored: anybody can make up names
 MOST_WARNINGS, MOST_CHARACTERS = 64, 256  # of guests without a body, and of each of them: anybody can make up names and classes
 EXIT_INCOMPLETE = 4  # of a strict world whose agents do not all come
 
@@ -276,6 +277,8 @@ class World(Node):
         if self._refused.get(name) == hello.incarnation or len({*self.bodies.poses, name}) > MAX_NAMES:
             return
         try:
+            if name not in self.bodies.poses and len(self.bodies.poses.keys() - self._config.members.keys()) >= MOST_GUESTS:
+                raise BadSetting(f"{MOST_GUESTS} guests have one already; agents that belong to the run should stand in [members]")
             self._embody(name, hello.sensor or sensor_of(self._config, hello.sensor_class))
         except BadSetting as error:
             self._refused[name] = hello.incarnation

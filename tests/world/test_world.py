@@ -225,6 +225,20 @@ def test_a_guest_without_room_gets_no_body_is_told_of_once_and_ends_no_run(caplo
     assert len(caplog.records) == 2, "a new process is a new attempt"
 
 
+def test_only_so_many_guests_get_a_body_and_who_has_one_keeps_it(monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture) -> None:
+    """Anybody can make up names, and the world publishes an observation for each body."""
+    monkeypatch.setattr("world.world.MOST_GUESTS", 2)
+    world, _ = started(config())
+    for name in ("a", "b", "c", "d"):
+        feed(world, *guest(name))
+    assert list(world.bodies.poses) == ["s1", "s2", "a", "b"]
+    complaint = "2 guests have one already; agents that belong to the run should stand in [members]"
+    assert [record.message for record in caplog.records] == [f"{name} gets no body: {complaint}" for name in ("c", "d")]
+    feed(world, guest("c")[1], Gone("agent", "a", 1), *guest("a", incarnation=2), command("s1", 0), command("a", 0, incarnation=2))
+    (truth,) = of_kind(Truth, feed(world, command("b", 0), command("s2", 0)))
+    assert truth.alive == ("s1", "s2", "a", "b") and len(caplog.records) == 2
+
+
 def test_warnings_about_guests_are_few_and_short(caplog: pytest.LogCaptureFixture) -> None:
     """Anybody can make up incarnations, and a class of any length."""
     world, _ = started(config())
