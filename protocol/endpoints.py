@@ -15,6 +15,8 @@ from protocol.settings import BadSetting, NetworkSettings
 ENCRYPTED = ("tls/", "quic/")
 ENDPOINT_FORM = re.compile(r"^(?:(?:tcp|udp|tls|quic|ws)/[^\s/?#]+:(\d{1,5})(?:[?#]\S+)?|(?!tcp|udp|tls|quic|ws)[a-z-]+/\S+)\Z")
 LARGEST_PORT = 65535
+PEM_CERTIFICATE = re.compile("-----BEGIN CERTIFICATE-----.+?-----END CERTIFICATE-----", re.DOTALL)
+COMMON_NAME = re.compile(rb"\x06\x03\x55\x04\x03[\x0c\x13\x14\x16](.)", re.DOTALL)  # DER: its identifier, a kind of string, and the length
 SAFE_ENDPOINT = re.compile(r"^(tls/|quic/|unixsock-stream/|[a-z]+/(127\.\d+\.\d+\.\d+|localhost|\[::1\]):\d+)")
 
 
@@ -75,6 +77,23 @@ def check_files(settings: NetworkSettings, name: str) -> None:
     except (ssl.SSLError, ValueError):
         right = f"should be the key, without a password, of the certificate {files['certificate']}"
         raise BadSetting(f"network.key = {files['key']!r}: {right}") from None
+
+
+def check_owner(settings: NetworkSettings, name: str) -> None:
+    """Raise BadSetting when the certificate is that of another name: all peers would drop what its holder says, without a word."""
+    if not settings.encrypted:
+        return
+    file = settings.files(name)["certificate"]
+    with open(file, encoding="utf-8") as text:
+        owners = common_names(text.read())
+    if owners and name not in owners:
+        raise BadSetting(f"network.certificate = {file!r}: is not the certificate of {name}, but names {', '.join(sorted(owners))}")
+
+
+def common_names(certificate: str) -> set[str]:
+    """The common names in the first certificate of a PEM file: of its owner, and of the authority that has signed it."""
+    der = b"".join(map(ssl.PEM_cert_to_DER_cert, PEM_CERTIFICATE.findall(certificate)[:1]))
+    return {der[found.end() : found.end() + found[1][0]].decode(errors="replace") for found in COMMON_NAME.finditer(der)}
 
 
 def own_endpoints(settings: NetworkSettings) -> tuple[str, ...]:

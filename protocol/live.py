@@ -27,7 +27,7 @@ import zenoh
 from protocol import codec, keys
 from protocol.access import common_name, secured
 from protocol.arrival_queue import Arrival, ArrivalQueue, DelayQueue
-from protocol.endpoints import check_endpoints, check_files, endpoint_error, on_any_port
+from protocol.endpoints import check_endpoints, check_files, check_owner, endpoint_error, on_any_port
 from protocol.link_faults import LiveLink
 from protocol.liveliness_tokens import ALONE_SECONDS, Tokens
 from protocol.message import Message
@@ -68,6 +68,7 @@ def open_session(settings: NetworkSettings, own: keys.Token | None = None) -> ze
     """A Zenoh session; raises BadSetting in one line when the endpoints or certificates cannot be used. Blocks."""
     check_endpoints(settings)
     check_files(settings, common_name(own))
+    check_owner(settings, common_name(own))
     try:
         return zenoh.open(session_config(settings, own))
     except zenoh.ZError as error:

@@ -9,7 +9,9 @@ import pytest
 from cryptography.hazmat.primitives import serialization
 
 from deploy.live.certificates import make_keys
-from protocol.endpoints import check_endpoints, check_files, free_port, own_endpoints
+from protocol.endpoints import check_endpoints, check_files, check_owner, common_names, free_port, own_endpoints
+from protocol.keys import Token
+from protocol.live import open_session
 from protocol.settings import BadSetting, NetworkSettings
 from protocol.zenoh_settings import session_values
 
@@ -85,6 +87,21 @@ def test_files_that_are_not_what_they_should_be_are_named_and_none_asks_for_a_pa
     (tmp_path / "ca.pem").write_text("")
     with pytest.raises(BadSetting, match=r"network\.ca = '.*ca\.pem': should be the certificate of an authority"):
         check_files(settings, "s2")
+
+
+def test_the_certificate_of_another_name_is_refused_where_its_holder_would_only_be_silent(tmp_path: Path) -> None:
+    """All links come about, and each receiver drops what the holder says under its own name."""
+    make_keys(["s1", "s2"], tmp_path)
+    settings = NetworkSettings(
+        **{field: str(tmp_path / file) for field, file in (("ca", "ca.pem"), ("certificate", "s1.pem"), ("key", "s1.key"))}
+    )
+    assert common_names((tmp_path / "s1.pem").read_text() + (tmp_path / "s2.pem").read_text()) == {"covey authority", "s1"}
+    check_owner(settings, "s1")
+    check_owner(NetworkSettings(), "s2")
+    with pytest.raises(BadSetting, match=r"network\.certificate = .*s1\.pem': is not the certificate of s2, but names covey authority, s1"):
+        check_owner(settings, "s2")
+    with pytest.raises(BadSetting, match="is not the certificate of s2"):
+        open_session(settings, Token("r", "agent", "s2", 1))
 
 
 def test_a_free_port_lies_below_the_range_of_outgoing_connections() -> None:
