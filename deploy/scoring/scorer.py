@@ -149,7 +149,7 @@ class Scorer(Node):
                     self._names = dict.fromkeys(in_team_order(self._scenario, {*self._names, event.name}))
             case Alive(role="body") if event.name in self._names:
                 self.greeted.add(self._bodies.get(event.name, event.name))
-            case Gone(role="body") if event.name in self._names:
+            case Gone(role="body" | "world") if event.name in (*self._names, "world"):
                 self.tick_rate.excuse(event.name)
             case Gone(role="agent") if not self.is_over and self._presence.vanish(event.name, event.incarnation):
                 self._lose(event.name, event.incarnation, now)
@@ -354,12 +354,12 @@ class Scorer(Node):
     def _end_pause(self, verb: str, names: list[str], now: float) -> None:
         """End the pauses of these agents. A killed one whose token is already lost counts as dead now."""
         for name in names:
-            was_paused = name in self.deaths.paused
-            self.deaths.paused.discard(name)
             if verb == "resume":
+                self.tick_rate.excuse(name)
                 self._chronicle.resume(name)
-            if was_paused and verb != "resume" and self._presence.live(name) is None and self.truth is not None and not self._finished:
+            elif name in self.deaths.paused and self._presence.live(name) is None and self.truth is not None and not self._finished:
                 self.deaths.lose(name, self.truth.tick, self.truth.time, now, self._last_cell(name))
+            self.deaths.paused.discard(name)
 
     def is_up_to_date(self, *, whole: bool = False) -> bool:
         """Whether every truth that was heard has been scored; with `whole`, up to the last tick of the run."""

@@ -67,11 +67,15 @@ class TickRateMeter:
         self._ended: dict[str, _Counts] = {}  # by name: what all earlier incarnations had counted
         self._paces: dict[str, int] = {}
         self._excused: set[str] = set()  # agents that were paused on request
+        self._stood_still = False  # the world, since the last tick
         self._stalls: dict[str, tuple[int, float]] = {}  # ms of all stalls of an agent so far, and when the last one showed
 
     def tick(self, now: float, tick: int) -> None:
         """A tick of the world has come."""
         self._first = self._first or (now, tick)
+        if self._stood_still:
+            self._ticks.clear()
+            self._stood_still = False
         self._ticks.append((now, tick))
         while self._ticks[0][0] < now - WINDOW and len(self._ticks) > 2:
             self._ticks.popleft()
@@ -93,8 +97,12 @@ class TickRateMeter:
         self._paces.pop(name, None)
 
     def excuse(self, name: str) -> None:
-        """An agent is paused on request, or has lost its body: the rounds that it skips say nothing about the machine."""
+        """An agent is paused on request, or has lost its body: the rounds that it skips say nothing about the machine.
+
+        Nor do ticks that fail to come while the world is paused or dead: its rate is measured from the next one on.
+        """
         self._excused.add(name)
+        self._stood_still = self._stood_still or name == "world"
 
     @property
     def rounds(self) -> int:

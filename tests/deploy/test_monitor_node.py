@@ -253,6 +253,23 @@ def test_an_agent_that_has_lost_its_body_skips_rounds_for_no_want_of_time(scenar
     assert scorer.tick_rate._excused == {"a"}
 
 
+@pytest.mark.parametrize("end", ["death", "pause"])
+def test_a_world_that_stood_still_is_no_sign_of_a_machine_that_is_too_small(scenario: Scenario, end: str) -> None:
+    run = msgspec.structs.replace(scenario.run, clock="realtime", rate=2.0, dt=0.5, seconds=100.0)
+    scorer = started(msgspec.structs.replace(scenario, run=run))
+    for tick in range(20):
+        scorer.handle(truth(tick), 0.25 * tick)
+    if end == "death":
+        scorer.handle(Gone("world", "world", 1), 5.0)
+    else:
+        scorer.note_fault("pause", "pause world", "world")
+        scorer.note_fault("resume", "resume world", "world")
+    for tick in range(20, 30):
+        scorer.handle(truth(tick), 60.0 + 0.25 * (tick - 20))
+    found = scorer.tick_rate.at(62.25)
+    assert (found.ticks_per_s, found.advice) == (4.0, "")
+
+
 def test_when_the_younger_of_two_processes_of_a_name_ends_the_older_one_counts_again(scenario: Scenario) -> None:
     scorer = started(scenario)
     scorer.handle(truth(0), 0.0)
