@@ -9,14 +9,13 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
-import msgspec
 import numpy as np
 
 from deploy.scenario import Scenario, agent_config, bodies_of, has_targets, in_team_order, world_config
 from deploy.scoring.chronicle import Chronicle, ScoredTick
 from deploy.scoring.deaths import Deaths, ends_run
 from deploy.scoring.result import EventReport, Fault, Result
-from deploy.scoring.scores import NO_SCORE, Coverage, Score, hole_and_overlap, mean, share_in_view, steady_part, why
+from deploy.scoring.scores import NO_SCORE, Coverage, Score, figures, hole_and_overlap
 from deploy.scoring.status import AgentStatus, Status
 from deploy.scoring.tick_rate import TickRateMeter
 from deploy.scoring.tracks import TrackLog
@@ -413,10 +412,8 @@ class Scorer(Node):
 
     def result(self, wall_seconds: float | None, messages: int | None = None, payload_bytes: int | None = None) -> Result:
         """The record of the run; `messages` and `payload_bytes` where the driver has counted them better than this node can."""
-        scenario, scores = self._scenario, self.scores
-        steady = steady_part(scores, scenario)
-        last = scores[-1] if scores else None
-        result = Result(
+        scenario = self._scenario
+        return Result(
             scenario=scenario.run.scenario,
             seed=scenario.run.seed,
             partition=scenario.partition.kind,
@@ -424,21 +421,8 @@ class Scorer(Node):
             control=scenario.control.mode,
             agents=len(scenario.members),
             missing=self.missing,
-            ticks=len(scores),
             dt=scenario.run.dt,
             wall_s=None if wall_seconds is None else round(wall_seconds, 3),
-            mean_ospa=mean([score.ospa for score in scores]),
-            steady_ospa=mean([score.ospa for score in steady]),
-            final_ospa=last.ospa if last else 0.0,
-            mean_gospa=mean([score.gospa for score in scores]),
-            steady_gospa=mean([score.gospa for score in steady]),
-            final_gospa=last.gospa if last else 0.0,
-            cardinality_error=mean([abs(score.mass - score.targets) for score in steady]),
-            share_in_view=share_in_view(scores),
-            targets=last.targets if last else 0,
-            targets_in_view=last.in_view if last else 0,
-            hole_area=max((score.hole for score in scores), default=0.0),
-            overlap_area=max((score.overlap for score in scores), default=0.0),
             mass_residual=self._tally.residual,
             messages=self._tally.messages if messages is None else messages,
             bytes=self._tally.bytes if payload_bytes is None else payload_bytes,
@@ -446,8 +430,9 @@ class Scorer(Node):
             kills=self.deaths.kills(),
             transcript=self._transcript.hexdigest(),
             events=tuple(self._events),
+            **figures(self.scores, scenario),
+            **self.tracks.figures(),
         )
-        return msgspec.structs.replace(result, **why(scores, scenario), **self.tracks.figures())
 
 
 def _pairs(parts: list[np.ndarray]) -> list[tuple[float, float]]:

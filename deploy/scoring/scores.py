@@ -6,6 +6,7 @@ from bisect import bisect_left, bisect_right
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -124,11 +125,24 @@ def share_in_view(scores: Sequence[Score]) -> float:
     return sum(score.in_view for score in scores) / max(1, sum(score.targets for score in scores))
 
 
-def why(scores: Sequence[Score], scenario: Scenario) -> dict[str, float | bool]:
-    """Means of the parts of the error over the steady part, and the share in view over the last `END` s; fields of `Result`."""
-    steady = steady_part(scores, scenario)
-    last = [score for score in scores if score.time > scores[-1].time - END]
+def figures(scores: Sequence[Score], scenario: Scenario) -> dict[str, Any]:
+    """The fields of a `Result` that follow from the scores of a run: means over all of it and its steady part, and its last tick."""
+    steady, last = steady_part(scores, scenario), scores[-1] if scores else NO_SCORE
+    newest = [score for score in scores if score.time > last.time - END]
     return {
+        "ticks": len(scores),
+        "mean_ospa": mean([score.ospa for score in scores]),
+        "steady_ospa": mean([score.ospa for score in steady]),
+        "final_ospa": last.ospa,
+        "mean_gospa": mean([score.gospa for score in scores]),
+        "steady_gospa": mean([score.gospa for score in steady]),
+        "final_gospa": last.gospa,
+        "cardinality_error": mean([abs(score.mass - score.targets) for score in steady]),
+        "share_in_view": share_in_view(scores),
+        "targets": last.targets,
+        "targets_in_view": last.in_view,
+        "hole_area": max((score.hole for score in scores), default=0.0),
+        "overlap_area": max((score.overlap for score in scores), default=0.0),
         "steady_localisation": mean([score.localisation for score in steady]),
         "steady_missed": mean([score.missed for score in steady]),
         "steady_false": mean([score.false for score in steady]),
@@ -136,7 +150,7 @@ def why(scores: Sequence[Score], scenario: Scenario) -> dict[str, float | bool]:
         "steady_estimated": mean([score.estimated for score in steady]),
         "steady_mass": mean([score.mass for score in steady]),
         "steady_coverage": mean([score.coverage for score in steady]),
-        "end_in_view": share_in_view(last),
+        "end_in_view": share_in_view(newest),
         "has_targets": has_targets(scenario),
     }
 

@@ -8,6 +8,7 @@ estimates without a label, are named by their place among those of the tick: der
 import math
 from collections import Counter
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
@@ -36,7 +37,7 @@ class TrackLog:
         self.ticks.append(TrackTick(truth.ids, truth.targets, self._names.of(labels, existence, positions), positions))
         self.labelled.append(np.array(labels, dtype=np.uint64) != NO_LABEL)
 
-    def figures(self) -> dict[str, float]:
+    def figures(self) -> dict[str, Any]:
         """The scores, by the names of the fields of `Result`."""
         found = track_score(self.ticks, self._cutoff)
         windows = [self.ticks[start : start + self._window] for start in range(0, len(self.ticks), self._window)]

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from deploy.scenario import Scenario, resolve
-from deploy.scoring.scores import Coverage, Score, ground, hole_and_overlap, share_in_view, steady_part, why
+from deploy.scoring.scores import Coverage, Score, figures, ground, hole_and_overlap, share_in_view, steady_part
 from protocol.fields import pack
 from protocol.observer_messages import Truth
 from protocol.sensing import SENSOR_CLASSES
@@ -34,7 +34,7 @@ def truth(tick: int, pose: tuple[float, float, float], alive: tuple[str, ...] = 
 def test_means_are_over_the_steady_part(scenario: Scenario) -> None:
     scores = [score(tick, localisation=float(tick), missed=2.0, false=1.0, coverage=0.5) for tick in range(20)]
     assert [each.tick for each in steady_part(scores, scenario)] == list(range(4, 20))
-    found = why(scores, scenario)
+    found = figures(scores, scenario)
     assert found["steady_localisation"] == 11.5  # mean of 4 .. 19
     assert (found["steady_missed"], found["steady_false"], found["steady_coverage"]) == (2.0, 1.0, 0.5)
     assert (found["steady_targets"], found["steady_estimated"], found["steady_mass"]) == (4.0, 5.0, 4.5)
@@ -42,9 +42,9 @@ def test_means_are_over_the_steady_part(scenario: Scenario) -> None:
 
 def test_the_share_in_view_of_the_last_five_seconds(scenario: Scenario) -> None:
     scores = [score(tick, in_view=4 if tick >= 10 else 0) for tick in range(20)]
-    assert why(scores, scenario)["end_in_view"] == 1.0 and share_in_view(scores) == 0.5
+    assert figures(scores, scenario)["end_in_view"] == 1.0 and share_in_view(scores) == 0.5
     scores = [score(tick, in_view=2 if tick >= 11 else 0) for tick in range(20)]
-    assert why(scores, scenario)["end_in_view"] == pytest.approx(9 * 2 / 40)
+    assert figures(scores, scenario)["end_in_view"] == pytest.approx(9 * 2 / 40)
 
 
 def test_the_steady_part_begins_at_a_whole_tick_where_its_share_is_no_binary_number(scenario: Scenario) -> None:
@@ -59,7 +59,7 @@ def test_a_share_of_less_than_a_tick_is_the_last_tick(share: float, scenario: Sc
 
 
 def test_a_run_that_ended_before_its_steady_part_and_one_without_a_tick(scenario: Scenario) -> None:
-    assert why([score(0), score(1, mass=6.5)], scenario)["steady_mass"] == 5.5
+    assert figures([score(0), score(1, mass=6.5)], scenario)["steady_mass"] == 5.5
     assert share_in_view([]) == 0.0
 
 

@@ -192,7 +192,7 @@ def test_a_mixture_that_was_moved_on_shows_weak_targets_and_none_twice() -> None
 
 
 @dataclass
-class Noted:
+class Noted(ControlLaw):
     """A control law, and of its commands the ticks, and for how many ticks each was to last."""
 
     law: ControlLaw
