@@ -11,6 +11,7 @@ import fcntl
 import heapq
 import json
 import os
+import random
 import select
 import signal
 import struct
@@ -48,14 +49,17 @@ SETTLED = 25.0  # s of world time; by then the agents have found each other and 
 SUDDENLY = 30.0  # s after the processes were started
 HEALED = 100.0  # s of world time; TCP has got used to its longer ways for half a minute by then
 TEAM = ("--team", "A2,C4,D2", "--targets", "8", "--set", "arena.width=50", "--set", "arena.height=50")
-OPTIONS = (*TEAM, "--dt", str(DT), "--rate", "1", "--set", "timing.look_ahead=2.5")
+OPTIONS = (*TEAM, "--dt", str(DT), "--rate", "1", "--set", "timing.look_ahead=2.5", "--set", "network.lease=30")
 
 
 class LateNetwork:
-    """The namespaces, the relay and the processes. `late`: how many seconds every packet between two agents takes."""
+    """The namespaces, the relay and the processes.
+
+    `late`: how many seconds every packet between two agents takes; `loss`: the share of them that never arrives.
+    """
 
     def __init__(self, folder: Path) -> None:
-        self.folder, self.protocol, self.late = folder, "udp", 0.0
+        self.folder, self.protocol, self.late, self.loss = folder, "udp", 0.0, 0.0
         hosts = [*AGENTS, "world", "recorder"]
         self.addresses = {name: f"10.214.0.{number}" for number, name in enumerate(hosts, 1)}
         self.spaces = {name: f"covey-{os.getpid()}-{name}" for name in hosts}
@@ -85,8 +89,7 @@ class LateNetwork:
 
     def play(self, seed: int, seconds: float = SECONDS) -> list[Score]:
         """Write the configurations, run a swarm until its world ends, and score its recording."""
-        links = ("--set", "network.insecure=true", "--set", "network.lease=30")
-        options = (*OPTIONS, "--seconds", str(seconds), "--seed", str(seed), "--run", "late", *links)
+        options = (*OPTIONS, "--seconds", str(seconds), "--seed", str(seed), "--run", "late", "--set", "network.insecure=true")
         seeds = (self.endpoint("world"), self.endpoint("s1"))
         recorder_network = {"listen": [self.endpoint("recorder")], "seeds": seeds}
         recorder_options = [word for key, value in recorder_network.items() for word in ("--set", f"network.{key}={json.dumps(value)}")]
@@ -113,7 +116,7 @@ class LateNetwork:
             poll.register(device, select.EPOLLIN)
         devices = {bytes(map(int, address.split("."))): self._devices[name] for name, address in self.addresses.items()}
         waiting: list[tuple[float, int, int, bytes]] = []  # a heap: due at, s; number of the packet, which keeps the order; device; packet
-        number = 0
+        number, dice = 0, random.Random(5)
         while not self._removed.is_set():
             now = time.monotonic()
             while waiting and waiting[0][0] <= now:
@@ -125,6 +128,8 @@ class LateNetwork:
                 if packet[0] >> 4 != 4 or destination is None:
                     continue
                 between_agents = names[source] in AGENTS and names[destination] in AGENTS
+                if between_agents and dice.random() < self.loss:
+                    continue
                 number += 1
                 heapq.heappush(waiting, (time.monotonic() + (self.late if between_agents else 0.0), number, destination, packet))
 
@@ -190,3 +195,10 @@ def test_over_tcp_a_swarm_whose_packets_become_late_all_at_once_comes_together_a
         later.cancel()
     assert max(score.hole for score in scores if score.tick * DT >= SUDDENLY) > 0.0, "the delay did harm at first"
     assert largest_hole(scores, HEALED) <= 0.05
+
+
+def test_over_tcp_a_swarm_on_a_radio_that_loses_packets_hardly_leaves_holes(network: LateNetwork) -> None:
+    network.protocol, network.late, network.loss = "tcp", 0.02, 0.02
+    settled = [score for score in network.play(1) if score.tick * DT >= SETTLED]
+    assert sum(score.hole for score in settled) <= 0.02 * len(settled)
+    assert sum(score.overlap for score in settled) <= 0.02 * len(settled)
