@@ -143,9 +143,10 @@ class Participant:
         payload, parts = sample.payload.to_bytes(), str(sample.key_expr).split("/")
         try:
             fields: Fields = msgpack.unpackb(payload) if len(payload) <= MAX_BYTES else {}
-            if fields["wire"] == WIRE and type(fields["incarnation"]) is int and (len(parts) == 3 or fields["sender"] == parts[3]):
+            is_read = fields.get("wire", WIRE) == WIRE and type(fields["incarnation"]) is int
+            if is_read and (len(parts) == 3 or fields["sender"] == parts[3]):
                 self.events.put(Heard(parts[2], fields["sender"], fields, fields["incarnation"]))
-        except (ValueError, TypeError, KeyError, msgpack.UnpackException):
+        except (ValueError, TypeError, KeyError, AttributeError, msgpack.UnpackException):
             return
 
 

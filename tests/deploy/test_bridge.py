@@ -151,6 +151,16 @@ def test_a_message_of_numbers_that_no_robot_has_ends_no_bridge() -> None:
     assert client.events.get_nowait().incarnation == 9 and client.events.empty()
 
 
+@pytest.mark.parametrize(("fields", "is_heard"), [({}, True), ({"wire": 2}, True), ({"wire": 3}, False), (None, False)])
+def test_a_halt_that_leaves_out_its_version_is_of_this_one(fields: dict[str, int] | None, is_heard: bool) -> None:
+    """The version is a field with a default, and a robot must not go on because an operator has left it out."""
+    client = Participant.__new__(Participant)
+    client.events = queue.SimpleQueue()
+    packed = msgpack.packb([] if fields is None else {"sender": "operator-1", "incarnation": 9, "held": True, **fields})
+    client._on_sample(SimpleNamespace(payload=SimpleNamespace(to_bytes=lambda: packed), key_expr="covey/r/halt"))
+    assert client.events.empty() != is_heard
+
+
 def head(frame: str, stamp: float) -> Any:
     """A header of this stamp, s."""
     nanoseconds = round(stamp * 1e9)
