@@ -27,6 +27,15 @@ class EventReport(NamedTuple):
     text: str
 
 
+class Tally(msgspec.Struct):
+    """Counts over the run."""
+
+    messages: int = 0
+    bytes: int = 0
+    rejected: int = 0
+    residual: float = 0.0  # the largest difference between the mass that an agent reports and that of its particles
+
+
 class Kill(msgspec.Struct, frozen=True, kw_only=True):
     """The death of an agent, and how long the others took to cover its former cell but for one per cent."""
 

@@ -7,14 +7,13 @@ areas of the published cells of live agents, as shares of the arena.
 import hashlib
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 
 from deploy.scenario import Scenario, agent_config, bodies_of, has_targets, in_team_order, world_config
 from deploy.scoring.chronicle import Chronicle, ScoredTick
 from deploy.scoring.deaths import Deaths, ends_run
-from deploy.scoring.result import EventReport, Fault, Result
+from deploy.scoring.result import EventReport, Fault, Result, Tally
 from deploy.scoring.scores import NO_SCORE, Coverage, Score, figures, hole_and_overlap
 from deploy.scoring.status import AgentStatus, Status
 from deploy.scoring.tick_rate import TickRateMeter
@@ -42,16 +41,6 @@ def witness_of(scenario: Scenario, name: str, incarnation: int) -> Witness | Non
     """Who computes the Truths for a watcher of this name; None where a world says them."""
     clock = scenario.run.clock
     return Witness(world_config(scenario), name, incarnation, LAG[clock], LAG_SECONDS[clock]) if bodies_of(scenario) else None
-
-
-@dataclass
-class _Tally:
-    """Counts over the run."""
-
-    messages: int = 0
-    bytes: int = 0
-    rejected: int = 0
-    residual: float = 0.0
 
 
 class Scorer(Node):
@@ -107,7 +96,7 @@ class Scorer(Node):
         self._next = 0
         self._chronicle = Chronicle()
         self._events: list[EventReport] = []
-        self._tally = _Tally()
+        self._tally = Tally()
         self._keeps_scores = scores
         self._checked = -1, 0  # a tick, and how many live agents have answered it, counted from the first
         self._transcript = hashlib.blake2b(digest_size=16)
@@ -132,8 +121,7 @@ class Scorer(Node):
         self.on_event(event, now)
         self.is_over = self.is_over or ends_run(event, self.truth, self.last_tick + 1)
         if isinstance(event, Alive) and event.name in ("world", *self._scenario.members):
-            token = event.role, event.name
-            self.newest[token] = max(event.incarnation, self.newest.get(token, 0))
+            self.newest[event.role, event.name] = max(event.incarnation, self.newest.get((event.role, event.name), 0))
         match event:
             case Received(batch=batch):
                 self._tally.messages += len(batch)
@@ -238,11 +226,12 @@ class Scorer(Node):
 
     def _score_what_is_complete(self, now: float) -> None:
         while self.truth is not None and not self._finished:
-            late = self._ahead.at(now) - self._next >= self._lag
+            ahead = self._ahead.at(now)
+            late = ahead - self._next >= self._lag
             truth = self._truths.get(self._next)
             if truth is None and late:
                 self._forget(self._next)
-            elif truth is not None and (late or self._is_complete(truth)):
+            elif truth is not None and (late or self._is_complete(truth, ahead)):
                 self._score(truth, now)
                 self._forget(truth.tick)
             else:
@@ -258,14 +247,21 @@ class Scorer(Node):
         for past in sorted(known for known in self._estimates if known <= tick):
             self._counting.update(self._estimates.pop(past))
 
-    def _is_complete(self, truth: Truth) -> bool:
-        """Whether all live agents that received this tick have answered; ticks without estimates wait for the next one."""
+    def _is_complete(self, truth: Truth, ahead: int) -> bool:
+        """Whether all live agents that received this tick have answered; ticks without estimates wait for the next one.
+
+        Guests may be of another make, and need not publish estimates: they are waited for until the world is `ahead` of the tick.
+        """
         if truth.tick % self._scenario.timing.estimate_every:
             return truth.tick + 1 in self._truths
         said = self._estimates.get(truth.tick, {})
         tick, place = self._checked
         place = place if tick == truth.tick else 0
-        while place < len(truth.alive) and (truth.alive[place] in said or self._presence.live(truth.alive[place]) is None):
+        while place < len(truth.alive):
+            name = truth.alive[place]
+            is_awaited = ahead <= truth.tick or name in self._scenario.members
+            if is_awaited and name not in said and self._presence.live(name) is not None:
+                break
             place += 1
         self._checked = truth.tick, place
         return place == len(truth.alive)

@@ -156,3 +156,19 @@ def test_what_a_dead_process_said_does_not_count_for_its_successor(scenario: Sce
     scorer.finish(3.0)
     assert [score.estimated for score in scorer.scores] == [1, 0, 0]
     assert scorer.scores[-1].hole == pytest.approx(0.5)
+
+
+@pytest.mark.parametrize(("clock", "scored"), [("lockstep", [0, 0, 1, 5]), ("realtime", [0, 1, 3, 6])])
+def test_a_guest_that_states_no_estimates_holds_up_no_scores(clock: str, scored: list[int], scenario: Scenario) -> None:
+    """In lockstep it is waited for until the world has been ahead for 2 s; a member for 20 ticks as well."""
+    run = msgspec.structs.replace(scenario.run, clock=clock, seconds=40.0)
+    scorer = started(msgspec.structs.replace(scenario, run=run))
+    scorer.handle(Alive("agent", "x", 1), 0.0)
+    found = []
+    for tick, now in ((0, 0.0), (1, 1.0), (2, 2.0), (3, 3.0), (4, 4.0), (5, 5.0), (6, 7.0)):
+        scorer.handle(truth(tick, ("a", "b", "x")), now)
+        for name, cell in (("a", LEFT), ("b", RIGHT)):
+            scorer.handle(estimate(name, tick, cell, TARGET), now)
+        found.append(len(scorer.scores))
+    assert [found[place] for place in (0, 1, 3, 6)] == scored
+    assert all(score.hole == 0.0 for score in scorer.scores)
