@@ -10,6 +10,8 @@ from protocol.codec import decode
 from protocol.fields import Malformed
 from protocol.message import Message
 
+LONGEST_TEXT = 64  # characters of a text in a terminal
+
 
 def fields(message: Message) -> dict[str, Any]:
     """A message for people: its fields by name, arrays as lists of rows, bytes that are no array in hexadecimal."""
@@ -74,4 +76,6 @@ def _short(value: Any, most: int) -> str:
         return "[" + ", ".join(_short(item, most) for item in value) + "]"
     if isinstance(value, float):
         return f"{value:.4g}"
+    if isinstance(value, str) and len(value) > LONGEST_TEXT:  # bytes that are no array: one or six for each particle
+        return f"{value[:LONGEST_TEXT]}... ({len(value)} characters)"
     return str(value)

@@ -204,6 +204,9 @@ def test_long_arrays_are_cut_in_a_terminal() -> None:
     )
     assert "10 rows: 0, 0, 0, 0, 0, 0, ..." in text
     assert fields(COMMAND)["velocity"] == (1.0, 2.0)
+    compact = msgspec.structs.replace(GOSSIP, particles=bytes(16 + 6 * 100), claim_ages=b"\0\1")
+    assert f"particles      {'0' * 64}... (1232 characters)\n" in block(KeyedPayload("k", b"", compact, ""))
+    assert "claim_ages     0001" in block(KeyedPayload("k", b"", compact, ""))
 
 
 def test_keys_and_texts_that_anybody_makes_up_are_printed_as_they_are_and_obeyed_by_no_terminal(
