@@ -33,7 +33,7 @@ from protocol.sensing import measurement_of
 
 SPLIT_OFFSET = 0.7  # where the halves of a split component lie, in its standard deviations
 PRIOR_DEVIATION = 0.7  # standard deviation of a component of the prior in units of the largest one; half of their distance
-BACKGROUND_TURN = 0.15  # standard deviation of the velocity of a background birth, in speeds: its direction has been drawn already
+BACKGROUND_TURN = 0.35  # standard deviation of the velocity of a background birth, in speeds: its direction has been drawn already
 LEAST_BIRTH = 2.0  # weight of a background birth in units of `mixture.pruned`, at least
 OUTSIDE = 3.0  # standard deviations of a detection from the arena, beyond which it shows no new target
 
