@@ -407,6 +407,11 @@ class Driver:
         self._handle_all([Timer()])
 
 
+def ending_signals() -> list[signal.Signals]:
+    """The signals that ask a process to end; SIGHUP (a closed terminal) unless it is ignored, as under `nohup`."""
+    return [signal.SIGINT, signal.SIGTERM, *([signal.SIGHUP] if signal.getsignal(signal.SIGHUP) != signal.SIG_IGN else [])]
+
+
 def run(
     node: Node,
     network: NetworkSettings,
@@ -415,7 +420,10 @@ def run(
     on_line: Callable[[str], None] | None = None,
     link: LiveLink | None = None,
 ) -> int:
-    """Drive a node until it stops; blocks. Return the node's exit code; 130 after SIGINT, 143 after SIGTERM or the end of stdin."""
+    """Drive a node until it stops; blocks.
+
+    Return the node's exit code; 129 after SIGHUP, 130 after SIGINT, 143 after SIGTERM or the end of stdin.
+    """
     return asyncio.run(_run(node, network, watch_stdin, on_line, link))
 
 
@@ -424,8 +432,8 @@ async def _run(
 ) -> int:
     driver = Driver(node, network, link)
     loop = asyncio.get_running_loop()
-    loop.add_signal_handler(signal.SIGTERM, driver.stop, 143, "SIGTERM")
-    loop.add_signal_handler(signal.SIGINT, driver.stop, 130, "SIGINT")
+    for number in ending_signals():
+        loop.add_signal_handler(number, driver.stop, 128 + number, number.name)
     if watch_stdin:
         follow_stdin(driver.stop, on_line)
     return await driver.serve()

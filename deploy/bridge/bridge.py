@@ -263,8 +263,9 @@ def run(options: BridgeOptions) -> int:
     except zenoh.ZError as error:
         why = str(error).split(" at /")[0].replace("[", "")  # without the line of Zenoh's source
         raise Wrong(f"--config {options.config}: network.listen, ca, certificate or key: {why}; should be a free port, and files") from None
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: over.set())
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        if signal.getsignal(number) != signal.SIG_IGN:  # as under `nohup`
+            signal.signal(number, lambda *_: over.set())
     print(f"bridge: /{options.agent}/odom and /{options.agent}/detections in, /{options.agent}/cmd_vel out; Ctrl-C stops it", flush=True)
     try:
         return bridge.serve(over)

@@ -5,7 +5,6 @@ import contextlib
 import logging
 import math
 import os
-import signal
 import sys
 import time
 from collections.abc import Callable, Coroutine
@@ -187,7 +186,7 @@ def _end_of(directory: RunDirectory | None) -> Callable[[], bool]:
 async def _serve_while_running(driver: live.Driver, is_running: Callable[[], bool]) -> int:
     """Drive a node until a signal comes or the run has ended."""
     loop = asyncio.get_running_loop()
-    for number in (signal.SIGINT, signal.SIGTERM):
+    for number in live.ending_signals():
         loop.add_signal_handler(number, driver.stop, 0, "a signal")
     serving = asyncio.create_task(driver.serve())
     while not serving.done():

@@ -27,7 +27,7 @@ sys.exit(live.run(Idle(), NetworkSettings(mode="client", seeds=(sys.argv[1],))))
 """
 
 
-@pytest.mark.parametrize(("number", "code"), [(signal.SIGTERM, 143), (signal.SIGINT, 130)])
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGTERM, 143), (signal.SIGINT, 130), (signal.SIGHUP, 129)])
 def test_a_signal_ends_a_client_that_waits_for_its_router(number: int, code: int) -> None:
     with socket.create_server(("127.0.0.1", 0)) as mute:
         words = [sys.executable, "-c", CLIENT, f"tcp/127.0.0.1:{mute.getsockname()[1]}"]
