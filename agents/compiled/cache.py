@@ -81,13 +81,21 @@ def cached(loop: Callable[..., Any]) -> Any:
         raise
     finally:
         config.CACHE_DIR = before
-    save = compiled._cache.save_overload
+    load, save = compiled._cache.load_overload, compiled._cache.save_overload
+
+    def load_or_forget(*what: Any) -> Any:
+        try:
+            return load(*what)
+        except Exception:  # a file is damaged, as after a loss of power: the loop is compiled and kept anew
+            with _locked(folder()):
+                compiled._cache.flush()
+            return None
 
     def save_alone(*what: Any) -> None:
         with _locked(folder()):
             save(*what)
 
-    compiled._cache.save_overload = save_alone
+    compiled._cache.load_overload, compiled._cache.save_overload = load_or_forget, save_alone
     return compiled
 
 

@@ -215,3 +215,18 @@ def test_loops_that_cannot_be_kept_are_told_where_and_not_in_the_words_of_numba(
     monkeypatch.delenv("NUMBA_DISABLE_JIT", raising=False)
     with pytest.raises(BadSetting, match=r"file: compiled loops cannot be kept there: Not a directory; NUMBA_CACHE_DIR names another"):
         cache.cached(lambda: None)
+
+
+def test_a_damaged_file_of_the_cache_is_forgotten_and_its_loop_compiled_anew(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As a loss of power leaves it: each agent died of an EOFError."""
+    flushed: list[str] = []
+
+    def load(*_: object) -> None:
+        raise EOFError("Ran out of input")
+
+    kept = SimpleNamespace(load_overload=load, save_overload=None, flush=lambda: flushed.append("flushed"))
+    monkeypatch.setattr(cache, "folder", lambda: tmp_path)
+    monkeypatch.setattr("numba.njit", lambda **_: lambda loop: SimpleNamespace(_cache=kept))
+    monkeypatch.delenv("NUMBA_DISABLE_JIT", raising=False)
+    assert cache.cached(lambda: None)._cache.load_overload("signature", "target") is None
+    assert flushed == ["flushed"]
