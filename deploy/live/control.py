@@ -39,10 +39,13 @@ class ControlServer:
         self._path: Path | None = None
 
     async def open(self) -> None:
-        """Start to listen, and say in control.json where."""
+        """Start to listen, and say in control.json where; raises BadSetting where no socket can be made."""
         self._path = self._directory.socket_path()
         self._path.unlink(missing_ok=True)
-        self._server = await asyncio.start_unix_server(self._serve, str(self._path), limit=MOST_LINE)
+        try:
+            self._server = await asyncio.start_unix_server(self._serve, str(self._path), limit=MOST_LINE)
+        except OSError as error:  # as of a full disk, which names no file
+            raise BadSetting(f"TMPDIR = {self._path.parent.parent}: the run's socket cannot be made there: {error.strerror}") from None
         write_whole(self._directory.control, json.dumps({"socket": str(self._path), "pid": os.getpid()}).encode() + b"\n")
 
     async def close(self) -> None:

@@ -42,6 +42,20 @@ def test_a_client_that_is_still_connected_when_the_run_ends_is_no_error(director
     assert not caplog.records
 
 
+def test_a_socket_that_cannot_be_made_is_told_with_its_folder(
+    directory: RunDirectory, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A full disk names no file when a socket is bound."""
+
+    async def bind(*_: object, **options: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    monkeypatch.setattr(asyncio, "start_unix_server", bind)
+    with pytest.raises(BadSetting, match=rf"^TMPDIR = {tmp_path}: the run's socket cannot be made there: No space left on device$"):
+        asyncio.run(ControlServer(directory, lambda request: {}).open())  # type: ignore[arg-type, return-value]
+
+
 def complaint(directory: RunDirectory, answer: Callable[[dict[str, object]], Awaitable[Answer]]) -> str:
     """What a command says when the supervisor answers like this."""
 
