@@ -6,6 +6,7 @@ import socket
 import subprocess
 import sys
 import threading
+from functools import partial
 
 import pytest
 
@@ -31,7 +32,8 @@ sys.exit(live.run(Idle(), NetworkSettings(mode="client", seeds=(sys.argv[1],))))
 def test_a_signal_ends_a_client_that_waits_for_its_router(number: int, code: int) -> None:
     with socket.create_server(("127.0.0.1", 0)) as mute:
         words = [sys.executable, "-c", CLIENT, f"tcp/127.0.0.1:{mute.getsockname()[1]}"]
-        with subprocess.Popen(words, cwd=ROOT, stderr=subprocess.DEVNULL) as client:
+        heard = partial(signal.signal, number, signal.SIG_DFL)  # also where the tests run under `nohup`
+        with subprocess.Popen(words, cwd=ROOT, stderr=subprocess.DEVNULL, preexec_fn=heard) as client:
             try:
                 connection, _ = mute.accept()  # so it has begun to open its session
                 client.send_signal(number)
