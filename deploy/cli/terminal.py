@@ -34,9 +34,11 @@ def reads_keys() -> bool:
 
 
 def stop_event() -> asyncio.Event:
-    """An event that Ctrl-C and SIGTERM set, in the loop that runs."""
+    """An event that Ctrl-C, SIGTERM and a closed terminal set, in the loop that runs."""
+    from protocol.live import ending_signals  # loads zenoh
+
     over = asyncio.Event()
-    for number in (signal.SIGINT, signal.SIGTERM):
+    for number in ending_signals():
         asyncio.get_running_loop().add_signal_handler(number, over.set)
     return over
 

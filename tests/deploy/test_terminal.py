@@ -1,5 +1,6 @@
 """Single keys from a terminal: signals cannot end the program where nobody would give the terminal back."""
 
+import asyncio
 import os
 import pty
 import signal
@@ -7,7 +8,7 @@ import termios
 
 import pytest
 
-from deploy.cli.terminal import keyboard
+from deploy.cli.terminal import keyboard, stop_event
 
 
 def test_signals_wait_until_the_first_look_for_keys_and_the_terminal_is_given_back(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -28,3 +29,17 @@ def test_signals_wait_until_the_first_look_for_keys_and_the_terminal_is_given_ba
             assert pressed(5.0) == ["k", "up"] and blocked() == set()
         assert termios.tcgetattr(slave) == before and blocked() == set()
     os.close(master)
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
+def test_a_replay_ends_in_order_when_its_terminal_is_closed(number: signal.Signals) -> None:
+    """So that the folder of what is said again is removed."""
+
+    async def scene() -> None:
+        over = stop_event()
+        signal.raise_signal(number)
+        await asyncio.wait_for(over.wait(), 5.0)
+
+    before = signal.signal(number, signal.SIG_DFL)
+    asyncio.run(scene())
+    signal.signal(number, before)
