@@ -107,6 +107,8 @@ class ControlClient:
                     line = answers.readline()
         except TimeoutError:
             raise BadSetting(f"the supervisor has not answered for {CLIENT_SECONDS:.0f} s; the run may still go on") from None
+        except PermissionError as error:
+            raise BadSetting(f"{self._socket}: {error.strerror}: the run is that of another user") from None
         except OSError:
             line = b""
         if not line.endswith(b"\n"):

@@ -71,7 +71,7 @@ class RunDirectory:
         """Lock the run for this process: a descriptor that holds the lock while it is open; None while another process holds it."""
         try:
             self.path.mkdir(parents=True, exist_ok=True)
-            descriptor = os.open(self.lock, os.O_RDWR | os.O_CREAT, 0o600)
+            descriptor = os.open(self.lock, os.O_RDWR | os.O_CREAT, 0o644)  # others may look
         except OSError as error:
             raise BadSetting(f"run directory {self.path}: {error.strerror}; COVEY_RUNS names another place") from None
         try:
@@ -110,7 +110,7 @@ class RunDirectory:
     def is_running(self) -> bool:
         """Whether a supervisor or a simulation holds the run."""
         try:
-            descriptor = os.open(self.lock, os.O_RDWR)
+            descriptor = os.open(self.lock, os.O_RDONLY)  # it may be that of another user
         except OSError:
             return False
         try:

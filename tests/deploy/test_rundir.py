@@ -134,3 +134,20 @@ def test_runs_that_are_removed_while_they_are_listed_are_left_out(monkeypatch: p
     assert [kept.name for kept in kept_runs()] == ["a"]
     for lock in locks:
         os.close(lock)
+
+
+def test_whether_the_run_of_another_user_is_running_can_be_seen_without_writing(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A user of the same folder was told that nothing runs there, and could remove what was running."""
+    umask, opened = os.umask(0o022), os.open
+
+    def read(path: Path, flags: int) -> int:
+        assert flags == os.O_RDONLY
+        return opened(path, flags)
+
+    lock = held("one")
+    os.umask(umask)
+    assert RunDirectory("one").lock.stat().st_mode & 0o777 == 0o644
+    with monkeypatch.context() as other:
+        other.setattr(os, "open", read)
+        assert RunDirectory("one").is_running()
+    os.close(lock)

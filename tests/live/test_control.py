@@ -3,6 +3,7 @@
 import asyncio
 import json
 import logging
+import socket
 import threading
 from collections.abc import Awaitable, Callable
 from pathlib import Path
@@ -54,6 +55,17 @@ def test_a_socket_that_cannot_be_made_is_told_with_its_folder(
     monkeypatch.setattr(asyncio, "start_unix_server", bind)
     with pytest.raises(BadSetting, match=rf"^TMPDIR = {tmp_path}: the run's socket cannot be made there: No space left on device$"):
         asyncio.run(ControlServer(directory, lambda request: {}).open())  # type: ignore[arg-type, return-value]
+
+
+def test_a_socket_of_another_user_is_no_end_of_the_run(directory: RunDirectory, monkeypatch: pytest.MonkeyPatch) -> None:
+    class Closed(socket.socket):
+        def connect(self, address: object) -> None:
+            raise PermissionError(13, "Permission denied")
+
+    directory.control.write_text('{"socket": "/tmp/covey-1000/a.sock"}')
+    monkeypatch.setattr(socket, "socket", Closed)
+    with pytest.raises(BadSetting, match=r"^/tmp/covey-1000/a\.sock: Permission denied: the run is that of another user$"):
+        ControlClient(directory).ask("down")
 
 
 def complaint(directory: RunDirectory, answer: Callable[[dict[str, object]], Awaitable[Answer]]) -> str:
