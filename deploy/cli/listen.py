@@ -22,6 +22,7 @@ from deploy.page.picture import Picture
 from deploy.page.source import LiveSource
 from deploy.recording.observers import Observers, open_recorder, recording_path
 from deploy.recording.recorder import RecorderNode
+from deploy.scenario import Scenario
 from deploy.scoring.result import Fault
 from deploy.scoring.scorer import Scorer
 from deploy.storage.run_directory import RunDirectory
@@ -46,7 +47,7 @@ def _until_interrupted(work: Coroutine[Any, Any, int]) -> int:
 
 def echo(key: str, count: int | None, run: str | None) -> int:
     """Print the messages under a key: blocks in a terminal, JSON lines elsewhere."""
-    _, scenario = swarm_to_watch(run)
+    directory, scenario = swarm_to_watch(run)
     show = block if sys.stdout.isatty() else plain_line
     left = count if count is not None else -1
 
@@ -64,7 +65,7 @@ def echo(key: str, count: int | None, run: str | None) -> int:
         print(f"covey: nothing is said under {key} so far{where}; still listening, Ctrl-C ends it", file=sys.stderr, flush=True)
 
     node = Listener(scenario.run.name, own_name("echo"), expression(key, scenario.run.name), on_heard, on_silence=on_silence)
-    return _quietly(live.run(node, scenario.network))
+    return _listen(node, directory, scenario)
 
 
 def check_seconds(seconds: float | None) -> None:
@@ -76,7 +77,7 @@ def check_seconds(seconds: float | None) -> None:
 def hz(key: str, seconds: float | None, run: str | None) -> int:
     """Print the message rates and sizes under a key every two seconds."""
     check_seconds(seconds)
-    _, scenario = swarm_to_watch(run)
+    directory, scenario = swarm_to_watch(run)
     rates, console = Rates(), table_console()
     shown_at = time.monotonic()
 
@@ -89,26 +90,26 @@ def hz(key: str, seconds: float | None, run: str | None) -> int:
         return True
 
     node = Listener(scenario.run.name, own_name("hz"), expression(key, scenario.run.name), on_heard, seconds)
-    code = live.run(node, scenario.network)
+    code = _listen(node, directory, scenario)
     console.print(rates_table(rates))
-    return _quietly(code)
+    return code
 
 
 def ls(seconds: float, run: str | None) -> int:
     """Print the live processes and all keys with messages, after listening for some seconds."""
     check_seconds(seconds)
-    _, scenario = swarm_to_watch(run)
+    directory, scenario = swarm_to_watch(run)
     rates, console = Rates(), table_console()
     own = own_name("ls")
     node = Listener(scenario.run.name, own, expression("**", scenario.run.name), rates.note, seconds)
-    code = live.run(node, scenario.network)
+    code = _listen(node, directory, scenario)
     console.print(f"run {scenario.run.name}: {scenario.run.scenario}, {len(scenario.members)} agents")
     for role in ("world", "body", "agent", "monitor", "recorder", "operator"):
         names = sorted((name for kind, name, _ in node.tokens if kind == role and name != own), key=order)
         if names:
             console.print(f"{role + 's' * (len(names) > 1)}: {', '.join(names)}", soft_wrap=True)
     console.print(rates_table(rates))
-    return _quietly(code)
+    return code
 
 
 def rates_table(rates: Rates) -> Table:
@@ -178,6 +179,15 @@ def watch_page(page: bool | str, run: str | None) -> int:
     return _until_interrupted(work())
 
 
+def _listen(node: Listener, directory: RunDirectory | None, scenario: Scenario) -> int:
+    """Drive a listener until it has heard enough, a signal comes or the run has ended; the exit code."""
+
+    async def work() -> int:
+        return await _serve_while_running(live.Driver(node, scenario.network), _end_of(directory))
+
+    return _until_interrupted(work())
+
+
 def _end_of(directory: RunDirectory | None) -> Callable[[], bool]:
     """Whether a run is running; of a swarm on other machines nobody knows when it ends."""
     return directory.is_running if directory else lambda: True
@@ -194,8 +204,3 @@ async def _serve_while_running(driver: live.Driver, is_running: Callable[[], boo
         if not is_running():
             driver.stop(0, "the run has ended")
     return await serving
-
-
-def _quietly(code: int) -> int:
-    """The exit code, where the end by Ctrl-C counts as success."""
-    return 0 if code in (0, 130) else code

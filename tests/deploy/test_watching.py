@@ -1,6 +1,7 @@
 """Key expressions, what `echo` prints, the rates of `hz`, the map of `watch`, and a recorder that hears nothing; without a swarm."""
 
 import json
+import signal
 import socket
 import struct
 from collections.abc import Callable
@@ -10,12 +11,14 @@ import msgspec
 import pytest
 import zenoh
 
+from deploy.cli import listen
 from deploy.cli.listen import rates_table, record
 from deploy.cli.listener import LOOK, SILENCE, KeyedPayload, Listener, Rates, expression, kinds, lies_in
 from deploy.cli.message_text import block, fields, plain_line
 from deploy.cli.terminal import table_console
 from deploy.cli.terminal_map import swarm_map
 from deploy.scenario import resolve, toml_text
+from deploy.storage.run_directory import RunDirectory
 from protocol import codec
 from protocol.message import Message
 from protocol.messages import Command
@@ -91,6 +94,25 @@ def test_an_outside_recorder_that_hears_nothing_leaves_no_recording_behind(tmp_p
         with pytest.raises(BadSetting, match="the port is in use"):
             record(tmp_path / "one.mcap", str(run))
     assert [path.name for path in tmp_path.iterdir()] == ["run.toml"]
+
+
+def test_echo_and_hz_end_with_the_run(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """A pipe behind `covey echo` waited for ever once the run was over."""
+    monkeypatch.setenv("COVEY_RUNS", str(tmp_path))
+    monkeypatch.setattr(listen, "LOOK_PERIOD", 0.01)
+    monkeypatch.setattr(listen, "swarm_to_watch", lambda run: (RunDirectory("over"), resolve("quick", {"run.name": "over"})))
+
+    def too_late(*_: object) -> None:
+        raise TimeoutError("it listens on")
+
+    before = signal.signal(signal.SIGALRM, too_late)
+    signal.alarm(20)
+    try:
+        assert listen.echo("truth", None, None) == 0
+        assert listen.hz("**", None, None) == 0
+    finally:
+        signal.alarm(0)
+        signal.signal(signal.SIGALRM, before)
 
 
 def test_a_listener_stops_when_its_time_is_up_and_knows_who_is_there() -> None:
