@@ -388,6 +388,12 @@ def toml_value(value: Any) -> str:
     return tomli_w.dumps({"value": value}).removeprefix("value = ").removesuffix("\n")
 
 
+def check_oracle(scenario: Scenario) -> None:
+    """Raise BadSetting where the oracle, which assigns all bodies at once, would have no world with all bodies."""
+    if bodies_of(scenario):
+        raise BadSetting("bodies.host = 'own': should be 'world' with control.mode = 'oracle', which assigns all bodies at once")
+
+
 def refuse_oracle(scenario: Scenario) -> None:
     """Raise BadSetting for a live run that asks for the oracle."""
     if scenario.control.mode == ORACLE:

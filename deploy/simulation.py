@@ -19,7 +19,7 @@ from deploy.faults.faults import LINK_VERBS, REFUSED, Action, Schedule, check_fa
 from deploy.faults.injector import Build, Injector
 from deploy.faults.links import Links
 from deploy.oracle import Oracle, without_oracle
-from deploy.scenario import ORACLE, Scenario, bodies_of, unsimulated, world_config, world_names
+from deploy.scenario import ORACLE, Scenario, bodies_of, check_oracle, unsimulated, world_config, world_names
 from deploy.scoring.result import Result
 from deploy.scoring.scorer import Scorer
 from protocol.observer_messages import Truth
@@ -96,8 +96,7 @@ class Simulation:
         self.world = World(world_config(patient), 1)
         given = self.scenario
         if scenario.control.mode == ORACLE:
-            if bodies_of(scenario):
-                raise BadSetting('bodies.host: must be "world" where control.mode is "oracle", which assigns all bodies at once')
+            check_oracle(scenario)
             given, build = without_oracle(given), Oracle(scenario, self.world).build
         self.injector = Injector(self.bus, self.links, given, backend or compiled(), build)
         self.is_stopped = False  # where it is set, `run` ends before the next event

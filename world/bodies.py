@@ -88,7 +88,7 @@ def check_given(config: WorldConfig) -> None:
         if pose is None:
             raise BadSetting(f"bodies.poses.{name}: is missing; start = 'given' needs [x, y, heading] for every member")
         if not all(-LARGEST_NUMBER <= number <= LARGEST_NUMBER for number in pose):
-            raise BadSetting(f"bodies.poses.{name} = {list(pose)}: should be three finite numbers [x m, y m, heading rad]")
+            raise BadSetting(f"bodies.poses.{name} = {list(pose)}: should be [x m, y m, heading rad], each of at most {LARGEST_NUMBER:g}")
     least = 2.0 * (config.limits.radius + CLEARANCE)
     for one, other in combinations(config.members if config.limits.radius else (), 2):
         apart = math.dist(config.bodies.poses[one][:2], config.bodies.poses[other][:2])

@@ -24,6 +24,7 @@ from deploy.scenario import (
     TeamSettings,
     agent_config,
     check_names,
+    check_oracle,
     check_triple,
     recording_remarks,
     spelled_out,
@@ -252,6 +253,7 @@ def _try_sensor(scenario: Scenario, sensor_class: str) -> None:
 def _try_law(scenario: Scenario) -> None:
     """Try a control law of the user for one agent in the middle of the arena."""
     if scenario.control.mode == ORACLE:
+        check_oracle(scenario)
         return
     law = control_law(scenario)
     if not isinstance(law, CheckedLaw) or not scenario.members:  # a team with a mistake has none

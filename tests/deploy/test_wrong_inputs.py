@@ -187,6 +187,7 @@ TYPED = [
     ("study robustness --faults rain", 2, "--faults rain: should be one or more of kill"),
     ("study robustness --set run.seconds=abc", 2, "run.seconds = 'abc': should be a number, got a text"),
     ("study bodies --set run.seconds=abc", 2, "run.seconds = 'abc': should be a number, got a text"),
+    ("check quick --control oracle --bodies own", 2, "bodies.host = 'own': should be 'world' with control.mode = 'oracle'"),
     ("study efficacy --seed -1", 2, "--seed -1: should be a whole number from 0 to "),
     ("study robustness --seed -1", 2, "--seed -1: should be a whole number from 0 to "),
     ("study bodies --methods points --seed -1", 2, "--seed -1: should be a whole number from 0 to "),

@@ -111,9 +111,10 @@ def test_a_member_without_a_given_pose_is_named() -> None:
         check_given(config)
 
 
-def test_a_given_pose_must_be_finite() -> None:
-    config = WorldConfig(members={"s1": "A"}, bodies=BodySettings(start="given", poses={"s1": (1.0, math.nan, 0.0)}))
-    with pytest.raises(BadSetting, match=r"bodies\.poses\.s1 = \[1\.0, nan, 0\.0\]"):
+@pytest.mark.parametrize("y", [math.nan, math.inf, 1.1e6])
+def test_a_given_pose_must_fit_into_a_message(y: float) -> None:
+    config = WorldConfig(members={"s1": "A"}, bodies=BodySettings(start="given", poses={"s1": (1.0, y, 0.0)}))
+    with pytest.raises(BadSetting, match=r"bodies\.poses\.s1 = \[1\.0, .*, 0\.0\]: should be .*, each of at most 1e\+06$"):
         check_given(config)
 
 
