@@ -7,6 +7,7 @@ simulation does not say it.
 """
 
 import datetime
+import math
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Iterator
 from pathlib import Path
@@ -144,6 +145,7 @@ def _event(
     head = {"version": "2.0", "type": kind, "uid": name, "how": HOW, "time": begin, "start": begin, "stale": end}
     event = ElementTree.Element("event", head)
     longitude, latitude = earth.place(*place)
+    longitude = math.remainder(longitude, 360.0)  # it has no places beyond the date line, which lines of GeoJSON may cross
     height = {"hae": UNKNOWN_HEIGHT, "ce": f"{error:g}", "le": UNKNOWN_HEIGHT}
     ElementTree.SubElement(event, "point", {"lat": f"{latitude:.{DIGITS}f}", "lon": f"{longitude:.{DIGITS}f}", **height})
     ElementTree.SubElement(ElementTree.SubElement(event, "detail"), "contact", {"callsign": callsign})

@@ -181,6 +181,13 @@ def test_events_have_the_form_that_pytak_makes_and_hold_the_places(recording: Re
     assert np.array(places) == pytest.approx(np.array(wanted), abs=0.02)
 
 
+def test_events_beyond_the_date_line_have_longitudes_in_the_west(recording: Recording, tmp_path: Path) -> None:
+    """The arena begins at 180 degrees, so that all of it lies beyond."""
+    write_cot(recording, earth_of(recording, (10.0, 180.0), BEGAN), tmp_path / "a.cot")
+    places = [ElementTree.fromstring(line).find("point").attrib["lon"] for line in (tmp_path / "a.cot").read_text().splitlines()]  # type: ignore[union-attr]
+    assert all(-180.0 <= float(place) < -179.99 for place in places) and len(set(places)) > 10
+
+
 @pytest.mark.parametrize(
     ("form", "origin", "began", "said"),
     [
