@@ -12,6 +12,7 @@ from agents.coverage.control import ControlLaw, Situation
 from agents.coverage.laws import CheckedLaw, control_law
 from agents.interest.selection import GRID_SPACING, SELECTION_MARGIN
 from agents.tracking.births import prior_size
+from agents.tracking.gaussian_phd import PRIOR_DEVIATION
 from agents.tracking.particles import unlabelled
 from agents.tracking.phd import BINS_IN_VICINITY
 from deploy.cli.sensor_checks import check_sensor
@@ -33,7 +34,7 @@ from deploy.scenario import (
     world_names,
 )
 from protocol.endpoints import check_endpoints
-from protocol.gaussian_components import MOST_MASS
+from protocol.gaussian_components import MAX_COMPONENTS, MOST_MASS
 from protocol.geometry import rectangle
 from protocol.sensing import WedgeSensor, measurement_of
 from protocol.setting_errors import mistakes
@@ -89,6 +90,7 @@ def complaints(scenario: Scenario) -> Iterator[tuple[str, str]]:
     yield from _told("arena", lambda: check_costs(scenario))
     for sensor_class in dict.fromkeys([*scenario.members.values(), *scenario.sensors]):
         yield from _told("sensors", lambda name=sensor_class: _try_sensor(scenario, name))  # type: ignore[misc]
+    yield from _told("mixture", lambda: _check_components(scenario))
     yield from _told("control", lambda: _try_law(scenario))
     yield from _told("targets", lambda: _try_motion(scenario))
     yield from _told("bodies", lambda: _try_bodies(scenario))
@@ -330,6 +332,18 @@ def _try_recording(scenario: Scenario) -> None:
         kind = scenario.recorded.kind
         raise BadSetting(f"recorded.kind = {kind!r}: has targets of its own; should be none where targets are set")
     recording_remarks(scenario)
+
+
+def _check_components(scenario: Scenario) -> None:
+    """Raise BadSetting where a sensor sees more Gaussians of the prior at once than an agent may tell: it weighs each with all others."""
+    classes = dict.fromkeys(scenario.members.values())
+    if scenario.filter.kind != "gaussian-mixture" or not scenario.filter.prior_density or not classes:
+        return
+    spread, area = scenario.mixture.spread, scenario.arena.width * scenario.arena.height
+    seen = min(area, max(sensor_of(scenario, name).area for name in classes)) / (2.0 * PRIOR_DEVIATION * spread) ** 2
+    if seen > MAX_COMPONENTS:
+        line = f"mixture.spread = {spread:g}: a sensor sees {seen:.0f} Gaussians of the prior at once"
+        raise BadSetting(f"{line}; should be at least {1.05 * spread * math.sqrt(seen / MAX_COMPONENTS):.2g} m")
 
 
 def _check_memory(scenario: Scenario) -> None:

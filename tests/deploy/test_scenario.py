@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from agents.config import AgentConfig
-from deploy.cli.scenario_checks import interest_remarks, scale_remarks, team_remarks
+from deploy.cli.scenario_checks import check_scenario, interest_remarks, scale_remarks, team_remarks
 from deploy.scenario import FOLDER, TeamSettings, find, parse_set, resolve, targets_in_words, team_counts, toml_text
 from protocol.settings import BadSetting, CommonSettings, convert
 from tests.docs import blocks_of
@@ -131,6 +131,16 @@ def test_neighbours_alone_with_sensors_much_larger_than_those_of_the_paper_are_r
     assert "margin of 14 m, and a COD may jump by 2599 m: some may be missed; should be 'all'" in wide
     assert "points 6 m apart, and a sensor reaches 2000 m: the choice takes long; should be 'all'" in far
     assert len(remarks(45.0, 25.0)) == len(remarks(360.0, 1001.0)) == 1
+
+
+def test_a_sensor_that_sees_too_many_gaussians_at_once_is_refused_with_a_spread_that_is_possible() -> None:
+    """2.25 km^2 hold 31888 places 8.4 m apart; a particle filter has none, nor has a mixture without a prior."""
+    far = {"arena.width": 1500.0, "arena.height": 1500.0, "sensors.X.angle": 360.0, "sensors.X.radius": 9000.0, "team.composition": "2X"}
+    far |= {"filter.kind": "gaussian-mixture", "filter.prior_density": 1e-6}
+    with pytest.raises(BadSetting, match=r"^mixture\.spread = 6: a sensor sees 31888 Gaussians .* at once; should be at least 18 m$"):
+        check_scenario(resolve("quick", far))
+    for possible in ({"mixture.spread": 18.0}, {"filter.prior_density": 0.0}, {"sensors.X.radius": 300.0}, {"filter.kind": "particles"}):
+        check_scenario(resolve("quick", far | possible))
 
 
 def test_classes_that_a_team_does_not_read_are_remarked_on() -> None:
