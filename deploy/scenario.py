@@ -251,7 +251,7 @@ def targets_in_words(scenario: Scenario) -> str:
         return f"{recorded.kind} of {Path(recorded.data).name}"
     targets = scenario.targets
     arrive = targets.border == "cross" and targets.count * targets.speed > 0.0  # as `arrival_rate`
-    return f"{targets.count} targets{' at the start, and others enter and leave' if arrive else ''}"
+    return f"{targets.count} target{'s' * (targets.count != 1)}{' at the start, and others enter and leave' if arrive else ''}"
 
 
 def law_in_words(mode: str) -> str:

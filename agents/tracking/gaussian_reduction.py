@@ -22,8 +22,9 @@ def merged(mixture: Mixture, settings: MixtureSettings) -> Mixture:
     """The mixture in which components close to a heavier one are merged with it, and have its id and label.
 
     Close means: each mean lies within `settings.merged` squared standard deviations of the other component, and the variances of the
-    places differ by a factor of at most `ALIKE`. A merged place is no wider than `settings.spread`.
+    places differ by a factor of at most `ALIKE`. A merged place is no wider than `settings.spread`. Components without weight are dropped.
     """
+    mixture = select(mixture, mixture.weights > 0.0)
     order = np.lexsort((mixture.ids, -mixture.weights.astype(np.float32)))  # as on the wire: a difference of one bit must not grow
     partners = _close_pairs(mixture, settings.merged)
     taken, found = np.zeros(len(order), dtype=bool), list[Mixture]()

@@ -93,7 +93,7 @@ def check(scenario: Scenario) -> int:
     classes = list(scenario.members.values())
     team = ", ".join(f"{classes.count(name)} {name}" for name in dict.fromkeys(classes))
     run = scenario.run
-    print(f"scenario   {run.scenario} is right: {len(classes)} agents ({team})")
+    print(f"scenario   {run.scenario} is right: {len(classes)} agent{'s' * (len(classes) != 1)} ({team})")
     print(f"           {targets_in_words(scenario)}, {run.ticks} ticks of {run.dt:g} s")
     if not math.isclose(run.ticks * run.dt, run.seconds):
         print(f"           run.seconds = {run.seconds:g} is no multiple of run.dt: the run lasts {run.ticks * run.dt:g} s")

@@ -190,6 +190,14 @@ def test_two_close_components_become_one_of_the_same_mass_mean_and_covariance() 
     assert one.covariances[0, 1, 1] == pytest.approx(1.0)
 
 
+def test_components_without_weight_are_dropped_before_any_are_merged() -> None:
+    """Where hardly anything survives a tick, weights underflow: their shares of a mass of 0 were no numbers."""
+    places = ((10.0, 0.0), (30.0, 0.3), (10.5, 0.0))
+    three = join([component(x, 10.0, 1.0, weight=weight, id=number) for number, (x, weight) in enumerate(places, 1)])
+    with np.errstate(all="raise"):
+        assert merged(three, MixtureSettings()).ids.tolist() == [2]
+
+
 def test_components_far_apart_in_place_in_velocity_or_in_size_stay_two() -> None:
     first = component(10.0, 10.0, 1.0, weight=0.3)
     for other in (
