@@ -108,8 +108,8 @@ class SensorSettings(Section, frozen=True, kw_only=True):
     prob_detection: Annotated[float, msgspec.Meta(gt=0.0, le=1.0)] | None = None  # at the sensor; else that of the paper, or 1
     prob_detection_far: Annotated[float, msgspec.Meta(gt=0.0, le=1.0)] | None = None  # at the radius, linear between; else no fall
     measures: Literal["position", "range-bearing", "bearing"] = "position"  # of a wedge; positions have the noise of [detection]
-    range_noise: NotNegative = 0.0  # standard deviation of a range, m
-    bearing_noise: Annotated[float, msgspec.Meta(ge=0.0, le=45.0)] = 0.0  # standard deviation of a bearing, degrees
+    range_noise: NotNegative = 0.0  # standard deviation of a range, m; of range-bearing 1e-4 to 1e6
+    bearing_noise: Annotated[float, msgspec.Meta(ge=0.0, le=45.0)] = 0.0  # standard deviation of a bearing, degrees; measured: >= 6e-5
     model: str = "wedge"
     parameters: dict[str, Any] = {}
 
