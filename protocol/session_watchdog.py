@@ -43,7 +43,7 @@ class AlarmRest:
 class SessionWatchdog:
     """The peers that one node receives, and the alarms about its session.
 
-    Times are `now` of that node, s. A clock that jumps delays an alarm and raises none.
+    Times are `now` of that node, s. A clock that jumps back delays an alarm.
     """
 
     def __init__(self, name: str, expected: Iterable[str], lease: float) -> None:

@@ -3,7 +3,8 @@
 Data types: a `Situation` is the input of a control law; a `ControlInput` is its output ((vx, vy), turn rate).
 
 Rules. A control law has a method `command(situation)`. `laws.control_law` makes the one that a scenario names.
-What takes time to compute, a law asks for: it is in a situation only then.
+Inputs that take time to compute are left out unless the law sets `uses_nearby_sensors` or `uses_surroundings`. Numbers in brackets
+are equations of the paper.
 """
 
 import math
