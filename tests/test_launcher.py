@@ -56,8 +56,9 @@ def test_an_environment_that_is_up_to_date_is_used_as_it_is(tmp_path: Path) -> N
     python.write_text('#!/bin/sh\necho "$@ in $PYTHONPATH"\n')
     python.chmod(0o755)
     (tmp_path / ".venv" / "covey-installed").write_text(stamp + "\n")
-    done = launch(tmp_path, "up", "quick")
-    assert (done.returncode, done.stdout) == (0, f"-P -m deploy up quick in {tmp_path}:{tmp_path}/deploy/interface\n")
+    for own, kept in (("", ""), ("/my/laws::/lib", ":/my/laws:/lib")):
+        done = launch(tmp_path, "up", "quick", PYTHONPATH=own)
+        assert (done.returncode, done.stdout) == (0, f"-P -m deploy up quick in {tmp_path}:{tmp_path}/deploy/interface{kept}\n")
 
 
 def test_mutants_are_planted_instead_of_the_usual_tests(tmp_path: Path) -> None:

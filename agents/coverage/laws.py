@@ -10,6 +10,7 @@ from agents.config import AgentConfig
 from agents.coverage.control import ControlInput, ControlLaw, Lloyd, RandomWalk, Situation, Static, UniformDensity
 from agents.coverage.pursuit import Pursuit
 from agents.coverage.search_and_track import SearchAndTrack
+from agents.tracking.particles import Particles
 from protocol.pose import clip_motion
 from protocol.settings import BadSetting
 from protocol.user_classes import as_bad_setting, build, is_number, shown
@@ -47,8 +48,7 @@ class CheckedLaw(ControlLaw):
     def command(self, situation: Situation) -> ControlInput:
         """The command of the law, clipped to the limits; raises BadSetting if it is not ((vx, vy), turn rate) of finite numbers."""
         with as_bad_setting(f"{self._name}.command"):
-            own = situation._replace(generators=situation.generators.copy())  # in a simulation all agents share them
-            answer = self._law.command(own)
+            answer = self._law.command(_copied(situation))
         try:
             (vx, vy), turn_rate = answer
             numbers = tuple(float(value) if is_number(value) else math.nan for value in (vx, vy, turn_rate))
@@ -59,3 +59,9 @@ class CheckedLaw(ControlLaw):
                 f"{self._name}.command returned {shown(answer)}: should be ((vx, vy), turn_rate), finite numbers in m/s and rad/s"
             )
         return clip_motion((numbers[0], numbers[1]), numbers[2], situation.limits)
+
+
+def _copied(situation: Situation) -> Situation:
+    """The situation with arrays of its own: a law that writes into them changes neither the filter nor what other agents read."""
+    particles = Particles(*[column.copy() for column in situation.particles])
+    return situation._replace(cell=situation.cell.copy(), particles=particles, generators=situation.generators.copy())

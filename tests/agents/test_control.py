@@ -20,7 +20,7 @@ from agents.coverage.control import (
     approach,
 )
 from agents.coverage.laws import CONTROL_LAWS, control_law
-from agents.tracking.particles import NO_PARTICLES
+from agents.tracking.particles import NO_PARTICLES, Particles
 from protocol.geometry import EMPTY, rectangle, wrap_angle
 from protocol.sensing import SENSOR_CLASSES, Pose
 from protocol.settings import BadSetting, LimitSettings
@@ -75,15 +75,17 @@ class Scribbler:
     """A law that writes into what it is given."""
 
     def command(self, situation: Situation) -> ControlInput:
-        situation.generators[:] = 0.0
+        for array in (situation.generators, situation.cell, *situation.particles):
+            array[...] = 0
         return (0.0, 0.0), 0.0
 
 
-def test_a_law_that_writes_into_its_situation_changes_that_of_no_other_agent() -> None:
+def test_a_law_that_writes_into_its_situation_changes_neither_the_filter_nor_other_agents() -> None:
     config = AgentConfig(control=ControlSettings(mode=f"{__name__}:Scribbler"))
-    here = situation()._replace(generators=np.ones((3, 3)))
+    particles = Particles(np.ones((2, 4)), np.ones(2), np.ones(2, np.uint64), np.ones(2, np.uint64))
+    here = situation(cell=np.ones((4, 2)))._replace(generators=np.ones((3, 3)), particles=particles)
     control_law(config).command(here)
-    assert (here.generators == 1.0).all()
+    assert all((array == 1).all() for array in (here.generators, here.cell, *here.particles))
 
 
 class NoLaw:
