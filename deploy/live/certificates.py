@@ -105,7 +105,7 @@ def _authority(folder: Path) -> tuple[x509.Certificate, ec.EllipticCurvePrivateK
         encipher_only=False,
         decipher_only=False,
     )
-    builder = _builder(subject, subject, key, AUTHORITY_DAYS)
+    builder = _builder(subject, subject, key, key, AUTHORITY_DAYS)
     builder = builder.add_extension(x509.BasicConstraints(ca=True, path_length=0), critical=True).add_extension(usage, critical=True)
     certificate = builder.sign(key, hashes.SHA256())
     _write(key_file, _pem(key), 0o600)
@@ -140,7 +140,7 @@ def _certify(
     usages = x509.ExtendedKeyUsage([ExtendedKeyUsageOID.SERVER_AUTH, ExtendedKeyUsageOID.CLIENT_AUTH])
     subject = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, name)])
     certificate = (
-        _builder(subject, authority.subject, key, days)
+        _builder(subject, authority.subject, key, signing_key, days)
         .add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
         .add_extension(x509.SubjectAlternativeName([*own, *alternatives]), critical=False)
         .add_extension(usages, critical=False)
@@ -179,7 +179,10 @@ def _is_issued_by(certificate: x509.Certificate, authority: x509.Certificate) ->
     return True
 
 
-def _builder(subject: x509.Name, issuer: x509.Name, key: ec.EllipticCurvePrivateKey, days: int) -> x509.CertificateBuilder:
+def _builder(
+    subject: x509.Name, issuer: x509.Name, key: ec.EllipticCurvePrivateKey, signing_key: ec.EllipticCurvePrivateKey, days: int
+) -> x509.CertificateBuilder:
+    """What all our certificates hold. With the identifiers of both keys strict clients, such as Python 3.13's, take them too."""
     now = datetime.now(UTC)
     return (
         x509.CertificateBuilder()
@@ -189,6 +192,8 @@ def _builder(subject: x509.Name, issuer: x509.Name, key: ec.EllipticCurvePrivate
         .serial_number(x509.random_serial_number())
         .not_valid_before(now - SLACK)
         .not_valid_after(now + timedelta(days=days))
+        .add_extension(x509.SubjectKeyIdentifier.from_public_key(key.public_key()), critical=False)
+        .add_extension(x509.AuthorityKeyIdentifier.from_issuer_public_key(signing_key.public_key()), critical=False)
     )
 
 

@@ -57,6 +57,22 @@ def test_each_name_gets_a_certificate_that_the_authority_has_signed_and_a_key_th
     ]
 
 
+def test_a_client_that_checks_all_that_a_certificate_should_hold_takes_ours(tmp_path: Path) -> None:
+    """Python does so from 3.13 on; before, with this flag."""
+    make_keys(["s1"], tmp_path)
+    client, server = ssl.create_default_context(cafile=str(tmp_path / "ca.pem")), ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+    client.verify_flags |= ssl.VERIFY_X509_STRICT
+    server.load_cert_chain(tmp_path / "s1.pem", tmp_path / "s1.key")
+    to_server, to_client = ssl.MemoryBIO(), ssl.MemoryBIO()
+    dialling = client.wrap_bio(to_client, to_server, server_hostname="localhost")
+    listening = server.wrap_bio(to_server, to_client, server_side=True)
+    for side in (dialling, listening):
+        with pytest.raises(ssl.SSLWantReadError):  # it has said its part
+            side.do_handshake()
+    dialling.do_handshake()  # raises if it refuses the certificate
+    assert ("commonName", "s1") in [pair[0] for pair in dialling.getpeercert()["subject"]]  # type: ignore[index]
+
+
 def test_a_later_name_is_signed_by_the_same_authority_and_nothing_is_overwritten_unless_forced(tmp_path: Path) -> None:
     make_keys(["s1"], tmp_path)
     before = {file.name: file.read_bytes() for file in tmp_path.iterdir()}

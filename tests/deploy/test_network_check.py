@@ -12,6 +12,7 @@ from typing import Any
 
 import msgspec
 import pytest
+from cryptography import x509
 
 from deploy.live.certificates import make_keys
 from deploy.live.network_check import check_network
@@ -104,6 +105,20 @@ def test_certificates_that_one_side_does_not_accept_are_told_by_side(tmp_path: P
         lines = wrong(msgspec.structs.replace(foreign, network=mixed))
         assert f"monitor.pem: is not of the authority {mixed.ca}" in lines[0]
         assert "the certificate of monitor is not accepted there" in lines[1]
+
+
+def test_certificates_without_identifiers_of_keys_are_accepted_as_zenoh_does(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """From Python 3.13 on a client refuses them unless it is told not to."""
+    add, identifiers = x509.CertificateBuilder.add_extension, (x509.SubjectKeyIdentifier, x509.AuthorityKeyIdentifier)
+
+    def add_others(builder: x509.CertificateBuilder, extension: x509.ExtensionType, critical: bool) -> x509.CertificateBuilder:
+        return builder if isinstance(extension, identifiers) else add(builder, extension, critical)
+
+    monkeypatch.setattr(x509.CertificateBuilder, "add_extension", add_others)
+    make_keys([*NAMES, "monitor"], tmp_path)
+    scenario = scenario_at(f"tls/127.0.0.1:{free_port()}", tmp_path)
+    with greeting(scenario, scenario.network.seeds[0]):
+        assert not wrong(scenario)
 
 
 def test_a_certificate_that_has_run_out_or_is_of_another_name_is_named_before_anybody_is_dialled(tmp_path: Path) -> None:
