@@ -1,13 +1,14 @@
 """`kill`, `pause`, `resume`, `restart`, `partition`, `heal`, `drop`, `delay` and `down`: requests to the supervisor of a running swarm."""
 
+import sys
 import time
 from typing import Any
 
 from deploy.live.control import ControlClient
-from deploy.storage.run_directory import find_running
+from deploy.storage.run_directory import RunDirectory, find_running
 from protocol.settings import BadSetting
 
-DOWN_SECONDS = 20.0
+QUIET_SECONDS = 5.0  # that a run takes to end before it is said what it waits for
 
 
 def selection(verb: str, names: tuple[str, ...], random: int | None, otherwise: str | None) -> str:
@@ -34,13 +35,23 @@ def send(verb: str, who: str, run: str | None, value: float | None = None, optio
 
 
 def down(run: str | None) -> int:
-    """End a run and wait until it has ended."""
+    """End a run and wait until it has ended: as long as its supervisor lives, which may compute for minutes after a long run."""
     directory = find_running(run, supervised=True)
     ControlClient(directory).ask("down")
-    end = time.monotonic() + DOWN_SECONDS
+    asked, said = time.monotonic(), ""
     while directory.is_running():
-        if time.monotonic() > end:
-            raise BadSetting(f"--run {directory.name}: still running after {DOWN_SECONDS:g} s")
+        doing = _doing(directory)
+        if doing != said and time.monotonic() > asked + QUIET_SECONDS:
+            said = doing
+            hint = "Ctrl-C ends this wait, and the run ends by itself"
+            print(f"covey: run {directory.name} still {doing}; {hint}", file=sys.stderr, flush=True)
         time.sleep(0.05)
     print(f"run {directory.name} is down")
     return 0
+
+
+def _doing(directory: RunDirectory) -> str:
+    """What a run that ends is busy with, by the files that it has written."""
+    if directory.result.exists():
+        return "ends its processes"
+    return "computes the scores of its tracks" if directory.scores.exists() else "scores its last ticks"

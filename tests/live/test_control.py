@@ -1,8 +1,11 @@
 """The control socket by itself: what a command is told when the supervisor fails, is late, or has gone."""
 
 import asyncio
+import contextlib
+import io
 import json
 import logging
+import os
 import socket
 import threading
 from collections.abc import Awaitable, Callable
@@ -10,6 +13,7 @@ from pathlib import Path
 
 import pytest
 
+from deploy.cli import control as commands
 from deploy.live import control
 from deploy.live.control import Answer, ControlClient, ControlServer
 from deploy.storage.run_directory import RunDirectory
@@ -169,3 +173,44 @@ def test_a_supervisor_that_hangs_up_has_ended_its_run(directory: RunDirectory) -
         raise asyncio.CancelledError
 
     assert complaint(directory, answer) == "the run has ended"
+
+
+def test_down_waits_as_long_as_a_supervisor_computes_and_says_at_what(directory: RunDirectory, monkeypatch: pytest.MonkeyPatch) -> None:
+    """After a long run the scores of tracks take minutes, in which the supervisor answers nothing."""
+    monkeypatch.setattr(commands, "QUIET_SECONDS", 0.0)
+    asked, said = asyncio.Event(), io.StringIO()
+
+    async def answer(request: dict[str, object]) -> Answer:
+        asked.set()
+        return {"ok": "going down"}
+
+    async def supervise(opened: threading.Event) -> None:
+        lock = directory.hold()
+        assert lock is not None
+        server = ControlServer(directory, answer)
+        await server.open()
+        opened.set()
+        await asked.wait()
+        for file, next_words in ((directory.scores, "computes the scores of its tracks"), (directory.result, "ends its processes")):
+            await asyncio.sleep(0.1)
+            file.touch()
+            with contextlib.suppress(TimeoutError):
+                async with asyncio.timeout(10.0):
+                    while next_words not in said.getvalue():
+                        await asyncio.sleep(0.01)
+        await server.close()
+        os.close(lock)
+
+    opened = threading.Event()
+    supervising = threading.Thread(target=lambda: asyncio.run(supervise(opened)))
+    supervising.start()
+    try:
+        assert opened.wait(20.0)
+        with contextlib.redirect_stderr(said):
+            assert commands.down("r") == 0
+    finally:
+        supervising.join()
+    assert [line.partition(" still ")[2].partition(";")[0] for line in said.getvalue().splitlines()][-2:] == [
+        "computes the scores of its tracks",
+        "ends its processes",
+    ]

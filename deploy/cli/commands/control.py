@@ -11,7 +11,7 @@ from deploy.cli.options import WHOLE
 
 @app.command(group=ACT, help_epilogue="Example: covey down --run hunt")
 def down(*, run: RunName = None) -> int:
-    """End a running swarm."""
+    """End a running swarm, and wait until its result is written."""
     from deploy.cli.control import down
 
     return down(run)
