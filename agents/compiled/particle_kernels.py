@@ -65,6 +65,18 @@ def motion_at(settings: np.ndarray, keys: np.ndarray, now: np.uint64) -> tuple:
 
 
 @njit
+def mirrored_one(place: float, velocity: float, length: float) -> tuple[float, float]:
+    """Twin of `particles.mirrored` for one coordinate, m, and its velocity, m/s, which turns with every mirror."""
+    if place < -length or place > 2.0 * length:
+        place %= 2.0 * length
+    if place < 0.0:
+        return -place, -velocity
+    if place > length:
+        return 2.0 * length - place, -velocity
+    return place, velocity
+
+
+@njit
 def move_one(x: float, y: float, vx: float, vy: float, particle_id: np.uint64, motion: tuple) -> tuple[float, float, float, float, bool]:
     """Twin of `phd.predict` for one particle: x, y in m and vx, vy in m/s one step later, and True if it stays in the arena.
 
@@ -78,14 +90,7 @@ def move_one(x: float, y: float, vx: float, vy: float, particle_id: np.uint64, m
     x = x + vx * dt + normal(scramble(particle_id, east_salt)) * position_noise
     y = y + vy * dt + normal(scramble(particle_id, north_salt)) * position_noise
     if reflect:
-        if x < 0.0:
-            x, vx = -x, -vx
-        elif x > width:
-            x, vx = 2.0 * width - x, -vx
-        if y < 0.0:
-            y, vy = -y, -vy
-        elif y > height:
-            y, vy = 2.0 * height - y, -vy
+        (x, vx), (y, vy) = mirrored_one(x, vx, width), mirrored_one(y, vy, height)
     return x, y, vx, vy, 0.0 <= x <= width and 0.0 <= y <= height
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from numba import njit
 
 from agents.compiled.cache import cached
-from agents.compiled.particle_kernels import exp_minus, sort_by_id, wedge_probability
+from agents.compiled.particle_kernels import exp_minus, mirrored_one, sort_by_id, wedge_probability
 from agents.coverage.search_plan import (
     CAPACITY_ANGLE,
     DECAY_LENGTH,
@@ -88,8 +88,7 @@ def _bin_values(
         x, y, vx, vy = states[n, 0], states[n, 1], states[n, 2], states[n, 3]
         px, py = x + vx * ahead, y + vy * ahead
         if numbers[OPEN] == 0.0:
-            px = -px if px < 0.0 else 2.0 * width - px if px > width else px
-            py = -py if py < 0.0 else 2.0 * height - py if py > height else py
+            px, py = mirrored_one(px, vx, width)[0], mirrored_one(py, vy, height)[0]
         row, column = int(np.floor(py / side)), int(np.floor(px / side))
         if row < south or row > north or column < west or column > east or px > width or py > height:
             continue

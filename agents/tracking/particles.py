@@ -76,6 +76,8 @@ def mass_within(places: np.ndarray, others: np.ndarray, masses: np.ndarray, radi
 
 
 def mirrored(places: np.ndarray, length: float) -> tuple[np.ndarray, np.ndarray]:
-    """Coordinates (N,) mirrored at 0 and at `length`, all in m, and True for those that lay beyond: (N,) bool."""
+    """Coordinates (N,) mirrored at 0 and at `length` until they lie between, all in m, and True for an odd number of times: (N,) bool."""
+    far = (places < -length) | (places > 2.0 * length)
+    places = np.where(far, places % (2.0 * length), places)  # two mirrors shift by twice the length; near ones keep their bits
     low, high = places < 0.0, places > length
     return np.where(low, -places, np.where(high, 2.0 * length - places, places)), low | high

@@ -100,7 +100,7 @@ def move(particles: list[Entry], tick: int, settings: Map) -> list[Entry]:
         place, velocity = [x, y], [(cos * vx - sin * vy) * scale, (sin * vx + cos * vy) * scale]
         for axis in (0, 1):
             place[axis] = place[axis] + velocity[axis] * dt + normal(scramble(number, axes[axis])) * model["position_noise"]
-            if model["border"] == "reflect" and not 0.0 <= place[axis] <= sides[axis]:
+            while model["border"] == "reflect" and not 0.0 <= place[axis] <= sides[axis]:
                 place[axis], velocity[axis] = (0.0 if place[axis] < 0.0 else 2.0 * sides[axis]) - place[axis], -velocity[axis]
         if 0.0 <= place[0] <= sides[0] and 0.0 <= place[1] <= sides[1]:
             moved.append((*place, *velocity, weight * survival, number))

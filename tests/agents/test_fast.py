@@ -17,7 +17,7 @@ from agents.interest.selection import KnownArena
 from agents.interest.tiles import Bounds
 from agents.tracking.claims import end_to_end, make_claim, owned
 from agents.tracking.extraction import NO_ESTIMATES, estimate_targets
-from agents.tracking.particles import NO_PARTICLES, Particles, join, select, total
+from agents.tracking.particles import NO_PARTICLES, Particles, join, mirrored, select, total
 from agents.tracking.step import Step
 from agents.tracking.tracker import RegionInput
 from protocol.fields import pack, pack_labels
@@ -204,6 +204,17 @@ def test_ids_are_sorted_whether_or_not_they_are_hashes(seed: int, count: int, ki
     for chosen in (rng.permutation(count), np.argsort(ids, kind="stable")):
         wanted = chosen[np.argsort(ids[chosen], kind="stable")]
         assert kernels.sort_by_id(ids, chosen.copy()).tolist() == wanted.tolist()
+
+
+@given(seeds, st.floats(0.5, 50.0))
+@some
+def test_what_lies_beyond_a_border_is_mirrored_until_it_lies_in_the_arena(seed: int, length: float) -> None:
+    places = np.random.default_rng(seed).normal(0.0, 60.0, 50)
+    inside, turned = mirrored(places, length)
+    assert (inside >= 0.0).all() and (inside <= length).all()
+    assert np.cos(inside * math.pi / length) == pytest.approx(np.cos(places * math.pi / length))
+    for place, mirror, turns in zip(places.tolist(), inside.tolist(), turned.tolist()):
+        assert kernels.mirrored_one(place, 1.0, length) == (mirror, -1.0 if turns else 1.0)
 
 
 @given(seeds, st.integers(1, 200), st.floats(0.0, 1.0), st.booleans())

@@ -235,6 +235,19 @@ def test_a_particle_that_crosses_the_border_loses_its_mass_or_is_reflected() -> 
     assert mirrored.states[0].tolist() == pytest.approx([0.8, 10.0, 2.0, 0.0]) and mirrored.weights[0] == 1.0
 
 
+@pytest.mark.parametrize(
+    ("way", "place", "heading"), [(30.0, 30.0, 1), (70.0, 10.0, -1), (110.0, 30.0, 1), (-50.0, 30.0, 1), (-90.0, 10.0, -1)]
+)
+def test_a_way_of_several_widths_of_a_closed_arena_is_folded_into_it(way: float, place: float, heading: int) -> None:
+    """From x = 0 in 40 m; each wall turns the velocity round."""
+    speed = abs(way) / 0.5
+    particle = unlabelled(np.array([[0.0, 10.0, math.copysign(speed, way), 0.0]]), np.ones(1), np.ones(1, dtype=np.uint64))
+    filters = FilterSettings(border="reflect", heading_noise=0.0, position_noise=0.0, lifetime=0.0, speed=speed)
+    moved = predict(particle, step(1, filters))
+    assert moved.weights.tolist() == [1.0]
+    assert moved.states[0].tolist() == pytest.approx([place, 10.0, heading * math.copysign(speed, way), 0.0])
+
+
 def test_survival_in_many_short_steps_is_survival_in_one_long_step() -> None:
     assert survival_probability(0.25, FILTER) ** 40 == pytest.approx(survival_probability(10.0, FILTER))
     assert survival_probability(0.25, FilterSettings(lifetime=0.0)) == 1.0
