@@ -99,8 +99,9 @@ def write_figures(recording: Recording, folder: Path) -> list[Path]:
 
 
 def footprints_figure(scenario: Scenario) -> Figure:
-    """The footprints of the classes that a scenario knows, on one scale: of Table I (Figure 2), as it has changed them, and its own."""
-    sensors = {name: sensor_of(scenario, name) for name in dict.fromkeys([*SENSOR_CLASSES, *scenario.sensors])}
+    """Footprints on one scale: of the classes of Table I (Figure 2); of a scenario with classes of its own, of these and its team's."""
+    own = [*scenario.members.values(), *scenario.sensors] if scenario.sensors else SENSOR_CLASSES
+    sensors = {name: sensor_of(scenario, name) for name in sorted(set(own))}
     rows = math.ceil(len(sensors) / COLUMNS)
     figure = Figure(figsize=(7.6, 2.3 * rows), layout="constrained")
     reach = max(sensor.reach for sensor in sensors.values())

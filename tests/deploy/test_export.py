@@ -10,6 +10,7 @@ import msgspec
 import numpy as np
 import pytest
 import shapely
+from matplotlib.figure import Figure
 from mcap.reader import make_reader
 from PIL import Image
 from pyarrow import csv, parquet
@@ -260,14 +261,19 @@ def test_the_pictures_of_the_method_are_of_the_tick_before_the_first_death(run: 
 
 
 def test_the_footprints_are_those_of_the_scenario() -> None:
-    def titles(**settings: object) -> list[str]:
-        return [axes.get_title() for axes in method_figures.footprints_figure(resolve("quick", settings)).axes if axes.axison]
+    def figure(**settings: object) -> Figure:
+        return method_figures.footprints_figure(resolve("quick", settings))
 
-    paper = titles()
+    def titles(figure: Figure) -> list[str]:
+        return [title for axes in figure.axes if (title := axes.get_title())]
+
+    paper = titles(figure())
     assert len(paper) == 8 and paper[0] == "A: 240°, 8 m, p_d 0.99"
     falling = {"angle": 120.0, "radius": 14.0, "scale": 9.0, "peak": 0.98}
     own = {"sensors.A.radius": 12.0, "sensors.Z.model": "covey.examples.sensors:RangeFalling", "sensors.Z.parameters": falling}
-    assert titles(**own) == ["A: 240°, 12 m, p_d 0.99", *paper[1:], "Z: reach 14 m, 205 m²"]
+    assert titles(figure(**own)) == ["A: 240°, 12 m, p_d 0.99", paper[1], "Z: reach 14 m, 205 m²"]
+    small = figure(**{"sensors.L.radius": 2.0, "sensors.L.angle": 90.0, "team.composition": "6L"})
+    assert len(titles(small)) == 1 and small.axes[0].get_xlim() == (-2.0, 2.0)
 
 
 @pytest.mark.slow
