@@ -29,7 +29,7 @@ class Membership:
         self.session_watchdog = SessionWatchdog(context.name, watched, context.config.network.lease)
         self.announcements = AnnouncementSchedule(0 if neighbours_only else len(others), peer_table.is_roster_alive)
         self.world_incarnation = 0
-        self._warned: set[tuple[str, int]] = set()  # names and incarnations of older peers
+        self._warned: set[tuple[str, int]] = set()  # names and incarnations of peers that are refused
         self._context, self._peer_table, self._counters = context, peer_table, counters
         self._bodies = BodyTokens(peer_table)
 
@@ -53,11 +53,22 @@ class Membership:
         """A warning, the first time that a peer is refused for good: its former process, which has gone, had a larger incarnation."""
         peer = self._peer_table.peers.get(name)
         is_refused = peer is not None and incarnation < peer.incarnation and not (peer.token or peer.suspected)
-        if peer is None or not is_refused or (name, incarnation) in self._warned or len(self._warned) >= MOST_WARNINGS:
+        if peer is None or not is_refused:
+            return []
+        text = f"{name} is refused: its incarnation {incarnation} is smaller than {peer.incarnation}, that of its former process"
+        return self._warn(name, incarnation, f"{text}. Set the clock of its machine, or start it with --incarnation {peer.incarnation + 1}")
+
+    def _warn_of_sensor(self, hello: Hello) -> list[Effect]:
+        """A warning, the first time that a peer announces a sensor that cannot be used here."""
+        why = self._peer_table.peers[hello.sender].unusable
+        return self._warn(hello.sender, hello.incarnation, f"{hello.sender} is refused: its sensor cannot be used here: {why}")
+
+    def _warn(self, name: str, incarnation: int, text: str) -> list[Effect]:
+        """A warning about a process, unless there has been one, or there have been many."""
+        if (name, incarnation) in self._warned or len(self._warned) >= MOST_WARNINGS:
             return []
         self._warned.add((name, incarnation))
-        text = f"{name} is refused: its incarnation {incarnation} is smaller than {peer.incarnation}, that of its former process"
-        return [Warn(f"{text}. Set the clock of its machine, or start it with --incarnation {peer.incarnation + 1}")]
+        return [Warn(text)]
 
     def gone(self, event: Gone, tick: int, *, suspected: bool) -> bool:
         """A token has vanished in the round `tick`; whether its agent counts as gone now. `suspected`: this agent was late itself."""
@@ -86,7 +97,7 @@ class Membership:
         reason = self._peer_table.take_hello(hello) if hello.role == "agent" else "settings" if agreement.differing(hello) else None
         if reason and reason != "settings":
             self._counters[f"rejected.{reason}"] += 1
-            return self._warn_of_older(hello.sender, hello.incarnation)
+            return self._warn_of_sensor(hello) if reason == "sensor" else self._warn_of_older(hello.sender, hello.incarnation)
         # a sender with other settings still counts as heard, and the own Hello lists it
         warnings = agreement.refuse([hello], self._counters) if reason else []
         is_new = self.session_watchdog.note_hello(hello.sender, now)

@@ -26,6 +26,7 @@ class Peer:
     beacon: Beacon | None = None  # the newest one
     rank: tuple[int, str] = (0, "")  # sorts peers in the order of names
     differs: tuple[str, ...] = ()  # the peer is refused: these settings differ from the own ones
+    unusable: str = ""  # why its newest Hello is refused, whose sensor cannot be used here
 
     def __post_init__(self) -> None:
         self.rank = order(self.name)
@@ -55,13 +56,12 @@ def with_peer(peers: dict[str, Peer], peer: Peer) -> dict[str, Peer]:
     return dict(sorted(found.items(), key=lambda item: item[1].rank))
 
 
-def announced_by(message: Hello | Beacon, config: AgentConfig) -> AnnouncedSensor | None:
-    """The sensor that a message announces; None when its class is unknown here, or cannot be used with these settings."""
-    try:
-        sensor = sensor_of(config, message.sensor_class) if message.sensor is None else message.sensor
-        return None if config.why_not(sensor) else announced_sensor(message.sender, sensor, config.detection.clutter)
-    except BadSetting:
-        return None
+def announced_by(message: Hello | Beacon, config: AgentConfig) -> AnnouncedSensor:
+    """The sensor that a message announces. Raises BadSetting when its class is unknown here, or cannot be used with these settings."""
+    sensor = sensor_of(config, message.sensor_class) if message.sensor is None else message.sensor
+    if reason := config.why_not(sensor):
+        raise BadSetting(reason)
+    return announced_sensor(message.sender, sensor, config.detection.clutter)
 
 
 def same_sensor(one: Beacon, other: Beacon) -> bool:

@@ -13,6 +13,7 @@ With interest "all" every peer is in the interest set. With "neighbours" beacons
 of those that it selects.
 """
 
+import contextlib
 import math
 from collections import OrderedDict, deque
 from collections.abc import Iterable
@@ -30,6 +31,7 @@ from agents.membership.peer import Peer, all_acceptable, announced_by, plausible
 from protocol.fields import MAX_NAMES
 from protocol.messages import Beacon, Gossip, Hello
 from protocol.node import Batch
+from protocol.settings import BadSetting
 
 COMPLETE_SET_HASH = 1  # in place of a hash: agents that hear neighbours and have complete interest sets cut parts of one diagram
 ACCEPTED = ""
@@ -115,10 +117,11 @@ class PeerTable:
             self._exclude(peer, differs)
         if differs:
             return "settings"
-        announced = announced_by(hello, self._config)
-        if announced is None:
+        try:
+            peer.announced = announced_by(hello, self._config)
+        except BadSetting as error:
+            peer.unusable = str(error)
             return "sensor"
-        peer.announced = announced
         return None
 
     def _exclude(self, peer: Peer, differs: tuple[str, ...]) -> None:
@@ -340,7 +343,8 @@ class PeerTable:
         if is_older:  # than one of a wrong tick, far ahead
             self.positions.remove(peer.name)
         if peer.announced is None or peer.beacon is None or not same_sensor(beacon, peer.beacon):  # the newest beacon counts
-            peer.announced = announced_by(beacon, self._config) or peer.announced
+            with contextlib.suppress(BadSetting):
+                peer.announced = announced_by(beacon, self._config)
         tick = beacon.tick - 1  # a beacon states the position of the next tick
         is_back = peer.note_life(tick, self._silence_limit, is_wrong=self.inbox.is_far_ahead(tick))
         self.selection_outdated |= is_back

@@ -241,8 +241,10 @@ def test_an_announced_class_that_sees_nothing_is_refused_and_ends_nobody() -> No
     """Without `covey check` nobody has tried the class, and its name alone stands in a Hello."""
     config = msgspec.structs.replace(CONFIG, sensors={"X": SensorSettings(model=f"{__name__}:Blind")})
     agent = Agent(config, "s1")
-    for _ in range(2):
-        assert agent.handle(hello(sensor=None, sensor_class="X"), 0.0) == []
+    [warning] = [effect for _ in range(2) for effect in agent.handle(hello(sensor=None, sensor_class="X"), 0.0)]
+    assert isinstance(warning, Warn) and warning.text.startswith(
+        "s2 is refused: its sensor cannot be used here: tests.agents.test_agent:Blind"
+    )
     assert agent.counters == {"rejected.sensor": 2}
     with pytest.raises(BadSetting, match=r"^sensors\.X: tests\.agents\.test_agent:Blind: the detection probability is 0 everywhere"):
         Agent(config, "s1", sensor_class="X")
@@ -307,7 +309,8 @@ def test_the_word_of_a_stranger_of_an_old_incarnation_and_beyond_its_sensor_is_r
 
 def test_a_greeting_with_a_sensor_that_nobody_knows_is_refused_and_ends_nothing() -> None:
     agent = Agent(CONFIG, "s1")
-    assert agent.handle(hello("s3", sensor=None, sensor_class="Z"), 0.0) == []
+    [warning] = agent.handle(hello("s3", sensor=None, sensor_class="Z"), 0.0)
+    assert isinstance(warning, Warn) and "s3 is refused: its sensor cannot be used here: sensor class 'Z' does not exist" in warning.text
     assert agent.counters["rejected.sensor"] == 1
 
 
