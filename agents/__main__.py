@@ -13,11 +13,14 @@ from agents.backend import PLAIN, Backend
 from agents.compiled.cache import is_switched_off
 from agents.config import AgentConfig
 from protocol import process
+from protocol.fields import RESERVED
 from protocol.settings import BadSetting
 
 
 def build(config: AgentConfig, name: str, incarnation: int, backend: Backend) -> Agent:
     """The agent of that name. Raises BadSetting when neither the roster nor `--sensor` names its sensor class."""
+    if name in RESERVED:
+        raise BadSetting(f"--name {name}: this name belongs to the {name}; call the agent otherwise")
     if name not in config.members:
         known = f"the roster has no such member; it has {', '.join(config.members)}" if config.members else "the file has no roster"
         raise BadSetting(f"--name {name}: {known}. --sensor CLASS says which sensor it carries")

@@ -12,6 +12,7 @@ import msgspec
 import tomli_w
 
 from agents.config import AgentConfig, ExtractionSettings
+from protocol.fields import RESERVED
 from protocol.keys import order
 from protocol.settings import (
     BadOption,
@@ -35,7 +36,6 @@ SEARCH_EXTRACTION = {"bin": 0.7, "threshold": 0.3, "beside": 0.7}  # what goes w
 LAW_TITLES = {"lloyd": "the paper's method", "search-and-track": "search and track"}
 MOST_SEARCH_BINS = 1_000_000  # every agent keeps in mind when each bin of the arena was last seen
 FOLDER = Path(__file__).parent / "scenarios"
-RESERVED = ("world", "monitor", "supervisor", "operator")  # names of processes that are no agents
 ORACLE = "oracle"  # a control mode that only simulations have (`oracle.Oracle`)
 PAPER_TEAMS: dict[str, tuple[int, ...]] = {"2": (3, 12, 9), "3": (4, 16, 12), "4": (5, 20, 15), "5": (6, 24, 18)}
 

@@ -6,10 +6,10 @@ from collections.abc import Iterable
 import msgspec
 
 from protocol.compact_particles import unpacked
-from protocol.fields import Malformed
+from protocol.fields import RESERVED, Malformed
 from protocol.keys import NAME, RUN_WIDE_KINDS, Key, parse_message_key
 from protocol.message import WIRE_VERSION, Message
-from protocol.messages import KINDS, Beacon, Gossip, Observation, are_contents_valid
+from protocol.messages import KINDS, Beacon, Gossip, Hello, Observation, are_contents_valid
 
 MAX_BYTES = 512 * 1024
 OUT_OF_RANGE = re.compile(r"Expected `(int|float)` [<>]")  # how msgspec says that a number is outside its limits,
@@ -126,5 +126,7 @@ def _check_name(parts: Key, message: Message) -> None:
         if not NAME.match(named):
             raise Malformed("format", f"{parts.kind}: {named[:64]!r} is no name")
         raise Malformed("sender", f"{named!r} speaks under the key of {parts.name!r}")
+    if parts.name in RESERVED and (not isinstance(message, Hello) or message.role == "agent"):
+        raise Malformed("format", f"{parts.kind}: {parts.name} is the name of no agent")
     if named == message.sender == parts.name:
         msgspec.structs.force_setattr(message, "sender", parts.name)  # one string object per sender makes look-ups faster

@@ -14,6 +14,7 @@ from protocol.cached_attribute import cached_attribute
 
 NAME_PATTERN = r"^[A-Za-z0-9_.-]{1,64}\Z"
 Name = Annotated[str, msgspec.Meta(pattern=NAME_PATTERN)]  # of a participant or a sensor class
+RESERVED = "world", "monitor", "supervisor", "operator"  # names of processes that are no agents
 
 MAX_ROWS = 8192  # of every array and of every list of names that a round reads
 MAX_DETECTIONS = MAX_NAMES = MAX_ROWS

@@ -14,7 +14,7 @@ from functools import lru_cache
 from sys import intern
 from typing import NamedTuple
 
-from protocol.fields import NAME_PATTERN
+from protocol.fields import NAME_PATTERN, RESERVED
 from protocol.message import Message
 from protocol.messages import Beacon, Observation
 
@@ -121,6 +121,8 @@ def parse_token(text: str) -> Token | None:
     """The parts of a liveliness token's key, or None for anything else."""
     parts = text.split("/")
     if len(parts) != 6 or parts[0] != ROOT or parts[2] != "alive" or not all(NAME.match(part) for part in parts[1:]):
+        return None
+    if parts[3] in ("agent", "body") and parts[4] in RESERVED:
         return None
     number = INCARNATION.match(parts[5])
     return Token(parts[1], parts[3], parts[4], int(number[0])) if number and int(number[0]) < 2**63 else None

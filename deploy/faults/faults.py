@@ -27,7 +27,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from deploy.scenario import RESERVED, FaultSettings
+from deploy.scenario import FaultSettings
+from protocol.fields import RESERVED
 from protocol.keys import NAME
 from protocol.random_streams import stream
 from protocol.settings import BadSetting

@@ -39,6 +39,8 @@ def test_a_stranger_is_refused_before_anything_is_compiled(monkeypatch: pytest.M
     monkeypatch.setattr("agents.compiled.warmup.warm", lambda: pytest.fail("compiles"))
     with pytest.raises(BadSetting, match=r"--name s9: the roster has no such member; it has s1"):
         start(TEAM, "s9", 1)
+    with pytest.raises(BadSetting, match=r"--name world: this name belongs to the world; call the agent otherwise"):
+        start(TEAM, "world", 1)
 
 
 def agent_with_cache(folder: Path, at: Path) -> "subprocess.Popen[str]":

@@ -10,6 +10,7 @@ import pytest
 
 from protocol import codec
 from protocol.message import Message
+from protocol.messages import Hello
 from tests.protocol.samples import GOSSIP, GOSSIP_BYTES, GOSSIP_KEY, HUGE, REASONS, RUN, SAMPLES, altered, reason_of
 
 
@@ -60,6 +61,14 @@ def test_another_sender_than_the_key_says_is_refused() -> None:
     for key, payload, _ in SAMPLES[:-2]:
         assert reason_of(key.replace("/s1", "/s2"), payload) == "sender"
     assert reason_of(GOSSIP_KEY, altered(GOSSIP_KEY, GOSSIP_BYTES, sender="s2")) == "sender"
+
+
+@pytest.mark.parametrize("name", ["world", "monitor", "supervisor", "operator"])
+def test_an_agent_with_the_name_of_another_process_is_refused(name: str) -> None:
+    hello = codec.encode(Hello(sender=name, incarnation=1))
+    assert reason_of(f"covey/{RUN}/hello/{name}", hello) == "format"
+    assert reason_of(GOSSIP_KEY.replace("/s1", f"/{name}"), altered(GOSSIP_KEY, GOSSIP_BYTES, sender=name)) == "format"
+    assert reason_of(f"covey/{RUN}/hello/world", codec.encode(Hello(sender="world", incarnation=1, role="world"))) == "accepted"
 
 
 def test_an_observation_is_checked_by_its_recipient_because_the_world_speaks_under_the_agents_name() -> None:

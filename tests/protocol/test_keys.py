@@ -100,6 +100,8 @@ def test_what_is_no_message_key_parses_to_none(text: str) -> None:
         "covey/demo/alive/agent/" + "s" * 65 + "/1",
         "covey/demo/dead/agent/s1/1",
         "other/demo/alive/agent/s1/1",
+        "covey/demo/alive/agent/world/1",
+        "covey/demo/alive/body/world/1",
     ],
 )
 def test_what_is_no_token_parses_to_none(text: str) -> None:
