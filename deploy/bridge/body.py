@@ -38,6 +38,7 @@ class Rules(NamedTuple):
     box: tuple[float, float, float, float] | None = None  # that it never leaves, m
     sight: float = 0.0  # m within which it tells its agent of other bodies; 0: bodies are points
     ticks: int = 1 << 53  # of the run
+    reach: float = math.inf  # m of its sensor; infinite where the run does not say it
 
 
 class RobotBody:

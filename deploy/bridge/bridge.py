@@ -24,7 +24,7 @@ import zenoh
 
 from deploy.bridge.body import RobotBody
 from deploy.bridge.client import Heard, Participant
-from deploy.bridge.frames import Placement, Planar, heading_of, moved, placed, wheels
+from deploy.bridge.frames import Placement, Planar, beyond_reach, heading_of, moved, placed, wheels
 from deploy.bridge.odometry import Odometry
 from deploy.bridge.ros import RosNode, message
 from deploy.bridge.settings import BridgeOptions, Wrong, check, read_run
@@ -59,6 +59,7 @@ class Bridge:
         self._foreign: set[str] = set()  # other frames that scans have named
         self._is_stamp_told = False  # that a scan was of another time than all odometry
         self._is_place_told = False  # that the robot was beyond its fence
+        self._reach = rules.reach  # m of the sensor; infinite once detections beyond it were told
         self._silent, self._tell_at = tuple[str, ...](), 0.0  # the silent topics that were told, and when the next may be
         self._moves = threading.Lock()  # odometry comes in a thread of Zenoh
         for heard in kept(options.keep):
@@ -139,7 +140,9 @@ class Bridge:
             else:
                 frame = self._axle.at(stamp)
                 self._tell_stamp(stamp)
-            self.body.sees([moved(frame, (pose.position.x, pose.position.y)) for pose in said.poses], time.monotonic())
+            places = [moved(frame, (pose.position.x, pose.position.y)) for pose in said.poses]
+            self._tell_range(places)
+            self.body.sees(places, time.monotonic())
 
     def _refuse(self, named: str, odometry: str, own: str) -> None:
         """Say once that scans in a frame do not count."""
@@ -154,6 +157,14 @@ class Bridge:
         if not self._is_place_told and max(west - x, x - east, south - y, y - north) > ASTRAY:
             self._is_place_told = True
             print(f"bridge: /{agent}/odom: the robot is at {x:.1f}, {y:.1f} m, beyond bodies.fence: is --origin right?", file=sys.stderr)
+
+    def _tell_range(self, places: list[Planar]) -> None:
+        """Say once that most detections of a scan lie where the sensor does not see: agents take these for clutter."""
+        assert self.body.pose is not None
+        words, too_far = beyond_reach(self._reach, [math.dist(place, self.body.pose[:2]) for place in places])
+        if too_far:
+            self._reach = math.inf
+            print(f"bridge: /{self._options.agent}/detections: {words}; these are taken for clutter", file=sys.stderr)
 
     def _tell_stamp(self, stamp: int) -> None:
         """Say once that a scan is of another time than the odometry that is kept."""

@@ -1,6 +1,7 @@
 """Poses in the plane: quaternions, the frame of the odometry, and what a command is to the wheels."""
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
 Placement = tuple[float, float, float]  # x m, y m, heading rad
@@ -23,6 +24,13 @@ def moved(frame: Placement, point: Planar) -> Planar:
     """A point that is given in a frame."""
     cos, sin = math.cos(frame[2]), math.sin(frame[2])
     return frame[0] + cos * point[0] - sin * point[1], frame[1] + sin * point[0] + cos * point[1]
+
+
+def beyond_reach(reach: float, ranges: Sequence[float]) -> tuple[str, bool]:
+    """How many detections at these distances lie beyond the reach of their sensor, all in m, in words; and whether most of them do."""
+    beyond = sum(distance > reach for distance in ranges)
+    words = f"should lie within the reach of the sensor, {reach:g} m: {beyond} of {len(ranges)} do not"
+    return f"{words}, the farthest is {max(ranges, default=0.0):.1f} m away", 2 * beyond > len(ranges)
 
 
 def clipped(velocity: Planar, speed: float) -> Planar:

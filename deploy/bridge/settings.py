@@ -49,8 +49,8 @@ def _run(data: dict[str, Any], agent: str) -> tuple[str, Network, Rules]:
     run, bodies, arena, limits, network, members = (data[key] for key in ("run", "bodies", "arena", "limits", "network", "members"))
     if agent not in members:
         raise Wrong(f"--agent {agent}: the run has no such agent; it has {', '.join(members)}")
-    measures = data["sensors"].get(members[agent], {}).get("measures", "position")
-    if measures != "position":
+    sensor = data["sensors"].get(members[agent], {})
+    if (measures := sensor.get("measures", "position")) != "position":
         raise Wrong(f"sensors.{members[agent]}.measures = {measures!r}: a robot reports places here; should be 'position'")
     if run["clock"] != "realtime":
         raise Wrong(f"run.clock = {run['clock']!r}: a robot cannot wait; should be 'realtime'")
@@ -76,6 +76,7 @@ def _run(data: dict[str, Any], agent: str) -> tuple[str, Network, Rules]:
         speed=limits["speed"],
         turn_rate=limits["turn_rate"],
         ticks=max(1, round(run["seconds"] / run["dt"])),
+        reach=sensor.get("radius", math.inf),
         sight=2.0 * limits["radius"] + 8.0 * limits["speed"] * run["dt"] if limits["radius"] else 0.0,
         box=None if fence is None else (-fence, -fence, arena["width"] + fence, arena["height"] + fence),
     )

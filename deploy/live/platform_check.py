@@ -7,6 +7,7 @@ from typing import TypeVar
 
 import numpy as np
 
+from deploy.bridge.frames import beyond_reach
 from protocol.message import Vector
 from protocol.sensing import Pose
 from protocol.settings import BadSetting, sensor_of
@@ -53,10 +54,8 @@ def check_platform(name: str, config: WorldConfig) -> Iterator[tuple[str, bool]]
         trial.read()
         yield "ticks may be left out", True
         if trial.ranges:
-            reach, number = sensor_of(config, config.members[name]).reach, len(trial.ranges)
-            beyond = sum(distance > reach for distance in trial.ranges)
-            rule = f"detections lie within the reach of its sensor, {reach:g} m"
-            yield f"{rule}: {beyond} of {number} do not, the farthest is {max(trial.ranges):.1f} m away", 2 * beyond <= number
+            words, too_far = beyond_reach(sensor_of(config, config.members[name]).reach, trial.ranges)
+            yield f"detections {words}", not too_far
         yield f"no call takes longer than {1000 * SLOW:.0f} ms: the longest took {1000 * trial.longest:.1f} ms", trial.longest <= SLOW
     finally:
         platform.stop()

@@ -195,7 +195,7 @@ def test_a_scan_counts_in_the_frames_of_the_odometry_and_of_the_robot_and_in_no_
     bridge = Bridge.__new__(Bridge)
     bridge.body, bridge._moves, bridge._options = Desk().body, threading.Lock(), BridgeOptions(Path(), "s3", origin=(10.0, 0.0, 0.0))
     bridge._axle, bridge._frames, bridge._foreign, bridge._is_stamp_told = Odometry(), None, set(), False
-    bridge._is_place_told, bridge._box = False, None
+    bridge._is_place_told, bridge._box, bridge._reach = False, None, math.inf
 
     def places(frame: str) -> list[tuple[float, float]] | None:
         bridge.body._scan = None
@@ -222,7 +222,7 @@ def test_a_detection_of_a_turning_robot_is_placed_by_the_pose_at_the_stamp_of_it
     bridge = Bridge.__new__(Bridge)
     bridge.body, bridge._moves, bridge._options = Desk().body, threading.Lock(), BridgeOptions(Path(), "s3", origin=(10.0, 0.0, 0.3))
     bridge._axle, bridge._is_stamp_told, newest = Odometry(), False, 1.7e9
-    bridge._is_place_told, bridge._box = False, None
+    bridge._is_place_told, bridge._box, bridge._reach = False, None, math.inf
 
     def where(time: float) -> tuple[float, float, float]:
         return 0.2 * time, 1.0, math.pi - 0.3 + 0.105 + time
@@ -245,11 +245,25 @@ def test_a_scan_that_is_a_moment_ahead_of_all_odometry_is_placed_where_the_robot
     bridge = Bridge.__new__(Bridge)
     bridge.body, bridge._moves, bridge._options = Desk().body, threading.Lock(), BridgeOptions(Path(), "s3")
     bridge._axle, bridge._is_stamp_told, bridge._is_place_told, bridge._box = Odometry(), False, False, None
+    bridge._reach = math.inf
     bridge._on_odometry(odometry(3.0, 1.0, 0.5, 1.7e9, (1.0, 0.0, turn)))
     bridge._on_detections(scan("base", 1.7e9 + ahead, (2.0, 0.0)))
     there = placed((3.0, 1.0, 0.5), (math.sin(ahead), 1.0 - math.cos(ahead), ahead)) if moves and turn == 1.0 else (3.0, 1.0, 0.5)
     assert bridge.body._scan is not None
     assert bridge.body._scan[0] == [pytest.approx(moved(there, (2.0, 0.0)), abs=0.006)]
+
+
+def test_a_scan_of_which_most_lies_beyond_the_reach_of_the_sensor_is_told_once(capsys: pytest.CaptureFixture[str]) -> None:
+    bridge = Bridge.__new__(Bridge)
+    bridge.body, bridge._moves, bridge._options = Desk().body, threading.Lock(), BridgeOptions(Path(), "s3")
+    bridge._axle, bridge._foreign, bridge._is_place_told, bridge._box, bridge._reach = Odometry(), set(), False, None, 5.0
+    bridge._on_odometry(odometry(3.0, 1.0, 0.0, 0.0))
+    bridge._on_detections(scan("odom", 0.0, (4.0, 1.0), (9.0, 1.0)))
+    assert capsys.readouterr().err == ""
+    for _ in range(2):
+        bridge._on_detections(scan("odom", 0.0, (4.0, 1.0), (9.0, 1.0), (3.0, 8.0)))
+    words = "should lie within the reach of the sensor, 5 m: 2 of 3 do not, the farthest is 7.0 m away; these are taken for clutter"
+    assert capsys.readouterr().err == f"bridge: /s3/detections: {words}\n"
 
 
 def test_odometry_whose_clock_is_set_back_or_that_has_no_stamps_counts_from_then_on() -> None:

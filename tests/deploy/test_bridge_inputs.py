@@ -38,7 +38,9 @@ def test_the_run_file_of_a_swarm_says_all_that_a_body_must_know(run_file: Path) 
     assert (rules.dt, rules.period, rules.hold, rules.anchor) == (scenario.run.dt, scenario.run.dt / scenario.run.rate, 0.5, None)
     assert rules.box == (-3.0, -3.0, scenario.arena.width + 3.0, scenario.arena.height + 3.0)
     assert rules.ticks == scenario.run.ticks
-    assert (rules.speed, rules.turn_rate) == (scenario.limits.speed, scenario.limits.turn_rate)
+    assert (rules.speed, rules.turn_rate, rules.reach) == (scenario.limits.speed, scenario.limits.turn_rate, math.inf)
+    run_file.write_text(toml_text(resolve("quick", {"sensors.B.radius": 5.0})))
+    assert read_run(BridgeOptions(run_file, "s3"))[2].reach == 5.0
 
 
 @pytest.mark.parametrize("count", [0, 5])
