@@ -202,12 +202,19 @@ def summary(lines: Sequence[Row]) -> list[Row]:
     ]
 
 
+def quantile(values: Sequence[float], share: float) -> float:
+    """The value below which a share of them lies, linear between two of them; infinite where the larger one is. numpy gives NaN there."""
+    place, ordered = share * (len(values) - 1), sorted(values)
+    low, high = ordered[math.floor(place)], ordered[math.ceil(place)]
+    return low if low == high else low + (place - math.floor(place)) * (high - low)
+
+
 def _medians(lines: Sequence[Row]) -> Row:
     found: Row = {"seeds": len(lines), "agents": int(np.median([one["agents"] for one in lines]))}
     for name in ("before", "first", "settled", "reference", "ratio"):
         values = [one[name] for one in lines]
         found[name] = float(np.median(values))
         if name in ("settled", "reference", "ratio"):
-            found[f"{name}_low"], found[f"{name}_high"] = map(float, np.quantile(values, [0.25, 0.75]))
+            found[f"{name}_low"], found[f"{name}_high"] = quantile(values, 0.25), quantile(values, 0.75)
     times = [np.inf if one["recovery_s"] is None else one["recovery_s"] for one in lines]
     return {**found, "recovery_s": float(np.median(times)), "largest_hole": max(one["largest_hole"] for one in lines)}

@@ -92,6 +92,17 @@ def test_recovery_is_the_first_time_from_which_five_seconds_are_good_in_the_mean
     assert recovery(Curve(times, np.full(100, 4.0)), 0.0, 1.0) is None
 
 
+@pytest.mark.parametrize(
+    ("ratios", "quartiles"),
+    [([1.0, 2.0, 4.0], (1.5, 3.0)), ([1.0, 2.0, math.inf, math.inf], (1.75, math.inf)), ([1.0, 2.0, 3.0, 4.0, math.inf], (2.0, 4.0))],
+)
+def test_quartiles_of_ratios_of_which_some_are_infinite_are_numbers(ratios: list[float], quartiles: tuple[float, float]) -> None:
+    """A seed without any error in its reference has an infinite ratio."""
+    others = dict.fromkeys(("agents", "before", "first", "settled", "reference", "recovery_s", "largest_hole"), 1.0)
+    [cell] = summary([{"kind": "kill", "level": 0.1, **others, "ratio": ratio} for ratio in ratios])
+    assert (cell["ratio_low"], cell["ratio_high"]) == quartiles
+
+
 def test_the_summary_takes_medians_and_quartiles_over_the_seeds() -> None:
     lines = [line(row("loss", 0.3, [float(seed)] * 100, seed=seed), 1.0) for seed in (1, 2, 3)]
     [loss] = summary(lines)
