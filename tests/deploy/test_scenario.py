@@ -108,7 +108,7 @@ def test_a_bin_or_a_speed_that_is_too_large_for_what_the_sensors_see_is_remarked
     """With 5 bins within the reach of 2 m, and 10 ticks to cross it, there is no remark."""
     (lab := tmp_path / "lab.toml").write_text(LAB)
 
-    def remarks(**settings: float) -> list[str]:
+    def remarks(**settings: Any) -> list[str]:
         return scale_remarks(resolve(str(lab), {name.replace("__", "."): value for name, value in settings.items()}))
 
     assert (
@@ -118,6 +118,10 @@ def test_a_bin_or_a_speed_that_is_too_large_for_what_the_sensors_see_is_remarked
     assert wide.startswith("extraction.bin = 1: a target is read off 5 x 5 bins, and cam reaches 2 m; should be 0.1 to 0.15 m,")
     assert fast.startswith("filter.speed = 2: crosses the reach of cam, 2 m, in 4.0 ticks; should be the usual speed of your targets,")
     assert remarks(extraction__bin=0.41) and remarks(filter__speed=0.81)
+    mixture: dict[str, Any] = {"filter__kind": "gaussian-mixture", "detection__noise": 0.5}
+    assert remarks(**mixture, mixture__spread=0.5) == remarks(detection__noise=0.5, mixture__spread=0.4) == []
+    [narrow] = remarks(**mixture, mixture__spread=0.4)
+    assert narrow.startswith("mixture.spread = 0.4: what is born") and narrow.endswith("should be at least detection.noise, 0.5 m")
     assert [name for name in SHIPPED if scale_remarks(resolve(name))] == []
 
 
