@@ -7,7 +7,8 @@ The definitions are those of TrackEval (Luiten and others, IJCV 129, 2021), so t
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -46,12 +47,24 @@ class TrackScore(NamedTuple):
     mota: float
 
 
-class _Indexed(NamedTuple):
-    """Ticks with identities as indices: rows of targets, columns of estimates, and similarities (T, M) for each tick."""
+@dataclass(frozen=True)
+class _Indexed:
+    """Ticks with identities as indices."""
 
-    ticks: list[tuple[np.ndarray, np.ndarray, np.ndarray]]
+    rows: np.ndarray  # of all ticks, one behind the other: their targets
+    columns: np.ndarray  # and their estimates
+    sizes: list[tuple[int, int]]  # how many targets and estimates each tick has
+    similar: Callable[[int], np.ndarray]  # the similarities (T, M) of a tick, by its place; none is kept, for a run may have a million
     target_ticks: np.ndarray  # (G,): the number of ticks of each target
     label_ticks: np.ndarray  # (K,): the same of each label
+
+    @property
+    def ticks(self) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+        """Rows (T,), columns (M,) and similarities (T, M) of each tick."""
+        row = column = 0
+        for place, (targets, estimates) in enumerate(self.sizes):
+            yield self.rows[row : row + targets], self.columns[column : column + estimates], self.similar(place)
+            row, column = row + targets, column + estimates
 
 
 def track_score(ticks: Sequence[TrackTick], cutoff: float) -> TrackScore:
@@ -61,19 +74,17 @@ def track_score(ticks: Sequence[TrackTick], cutoff: float) -> TrackScore:
     >>> track_score([TrackTick(np.array([7]), place, np.array([label]), place) for label in (3, 3, 4, 4)], 10.0)
     TrackScore(id_switches=1, idf1=0.5, hota=0.707..., mota=0.75)
     """
-    return score_of([compared(tick, cutoff) for tick in ticks])
+    return _scores(_of_places(ticks, cutoff))
 
 
 def score_of(ticks: Sequence[Compared]) -> TrackScore:
     """All scores of a run from any similarities, such as overlaps of boxes."""
-    indexed = _indexed(ticks)
+    return _scores(_indexed(ticks, lambda place: ticks[place].similar))
+
+
+def _scores(indexed: _Indexed) -> TrackScore:
     switches, mota = _clear(indexed)
     return TrackScore(switches, _idf1(indexed), _hota(indexed), mota)
-
-
-def compared(tick: TrackTick, cutoff: float) -> Compared:
-    """A tick with the similarities of its positions."""
-    return Compared(tick.ids, tick.labels, similarity(tick.targets, tick.estimates, cutoff))
 
 
 def similarity(targets: np.ndarray, estimates: np.ndarray, cutoff: float) -> np.ndarray:
@@ -82,16 +93,17 @@ def similarity(targets: np.ndarray, estimates: np.ndarray, cutoff: float) -> np.
     return np.maximum(0.0, 1.0 - np.sqrt((offsets * offsets).sum(axis=2)) / cutoff)
 
 
-def _indexed(ticks: Sequence[Compared]) -> _Indexed:
+def _of_places(ticks: Sequence[TrackTick], cutoff: float) -> _Indexed:
+    """Ticks with the similarities of their positions."""
+    return _indexed(ticks, lambda place: similarity(ticks[place].targets, ticks[place].estimates, cutoff))
+
+
+def _indexed(ticks: Sequence[TrackTick] | Sequence[Compared], similar: Callable[[int], np.ndarray]) -> _Indexed:
     nothing = np.empty(0, dtype=np.uint64)
     ids, rows = np.unique(np.concatenate([nothing, *(tick.ids.astype(np.uint64) for tick in ticks)]), return_inverse=True)
     labels, columns = np.unique(np.concatenate([nothing, *(tick.labels.astype(np.uint64) for tick in ticks)]), return_inverse=True)
-    found, row, column = [], 0, 0
-    for tick in ticks:
-        here = rows[row : row + len(tick.ids)], columns[column : column + len(tick.labels)]
-        found.append((*here, tick.similar))
-        row, column = row + len(tick.ids), column + len(tick.labels)
-    return _Indexed(found, np.bincount(rows, minlength=len(ids)), np.bincount(columns, minlength=len(labels)))
+    sizes = [(len(tick.ids), len(tick.labels)) for tick in ticks]
+    return _Indexed(rows, columns, sizes, similar, np.bincount(rows, minlength=len(ids)), np.bincount(columns, minlength=len(labels)))
 
 
 def _assigned(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -160,7 +172,7 @@ def track_ospa(ticks: Sequence[TrackTick], cutoff: float) -> float:
     The distance of two tracks is the mean of min(d, cutoff) over the ticks in which one of them exists, with the cut-off where only one
     does.
     """
-    indexed = _indexed([compared(tick, cutoff) for tick in ticks])
+    indexed = _of_places(ticks, cutoff)
     shape = len(indexed.target_ticks), len(indexed.label_ticks)
     both, apart = np.zeros(shape), np.zeros(shape)
     for rows, columns, similar in indexed.ticks:

@@ -1,5 +1,7 @@
 """The figures of a result, by hand: one target in a 10 x 10 m arena of two agents, ten ticks, of which the last five are steady."""
 
+import tracemalloc
+
 import msgspec
 import numpy as np
 import pytest
@@ -11,7 +13,7 @@ from deploy.simulation import Simulation
 from protocol.gaussian_components import COMPONENT
 from protocol.messages import Gossip
 from protocol.node import Alive, Gone, received
-from protocol.observer_messages import Estimate
+from protocol.observer_messages import Estimate, Truth
 from tests.deploy.test_monitor_node import EMPTY, LEFT, RIGHT, TARGET, WHOLE, estimate, longer, scenario, started, truth
 
 __all__ = ["scenario"]  # the fixture
@@ -172,3 +174,40 @@ def test_a_guest_that_states_no_estimates_holds_up_no_scores(clock: str, scored:
         found.append(len(scorer.scores))
     assert [found[place] for place in (0, 1, 3, 6)] == scored
     assert all(score.hole == 0.0 for score in scorer.scores)
+
+
+def seen(log: TrackLog, tick: int, targets: int, estimates: int) -> tuple[np.ndarray, np.ndarray]:
+    """Show a log a tick of so many targets and estimates; their places (T, 2) and (M, 2), m."""
+    places, found = np.random.default_rng(tick).random((2, targets + estimates, 2))
+    places, found = places[:targets], found[:estimates]
+    ids, labels = np.arange(targets, dtype="<u8"), np.arange(1, estimates + 1, dtype="<u8")
+    labels[1:2] = 0
+    truth = Truth(sender="world", incarnation=1, tick=tick, time=0.25 * tick, ids_bytes=ids.tobytes(), targets_bytes=places.tobytes())
+    [said] = estimate("s1", tick, EMPTY, found).batch.messages
+    assert isinstance(said, Estimate)
+    said = msgspec.structs.replace(said, labels_bytes=labels.tobytes())
+    log.see(truth, [said], said.targets)
+    return places, found
+
+
+def test_tracks_come_back_tick_by_tick_as_they_were_seen() -> None:
+    log, sizes = TrackLog(resolve("quick")), [(3, 2), (0, 0), (0, 1), (2, 0), (1, 4)]
+    kept = [seen(log, tick, *size) for tick, size in enumerate(sizes)]
+    assert [(len(tick.ids), len(tick.labels)) for tick in log.ticks] == sizes
+    for tick, labelled, (places, found) in zip(log.ticks, log.labelled, kept, strict=True):
+        assert (tick.targets == places).all() and (tick.estimates == found).all()
+        assert tick.ids.tolist() == list(range(len(places))) and labelled.tolist() == [number != 1 for number in range(len(found))]
+        assert tick.labels[labelled].tolist() == [number + 1 for number in range(len(found)) if number != 1]
+
+
+def test_a_tick_of_ten_targets_takes_the_memory_of_its_numbers() -> None:
+    """10 x (8 + 16) bytes of targets, 10 x (8 + 16 + 1) of estimates and two sizes are 506 bytes. A run may have a million ticks."""
+    log = TrackLog(resolve("quick"))
+    seen(log, 0, 10, 10)
+    tracemalloc.start()
+    try:
+        for tick in range(1, 2001):
+            seen(log, tick, 10, 10)
+        assert tracemalloc.get_traced_memory()[0] < 2000 * 700
+    finally:
+        tracemalloc.stop()
