@@ -306,7 +306,7 @@ def _ask_two(what: str, two: tuple[T, T], ask: Callable[[T, int], np.ndarray], s
 
 
 def _try_motion(scenario: Scenario) -> None:
-    """Try a motion model of the user for two targets."""
+    """Try a motion model of the user for two targets, and for none."""
 
     def build() -> Motion:
         return build_motion(scenario.targets, scenario.run.dt, scenario.run.seed)
@@ -316,6 +316,7 @@ def _try_motion(scenario: Scenario) -> None:
 
     if scenario.targets.motion != "constant-speed":
         _ask_two(f"{scenario.targets.motion}.move", (build(), build()), ask, "the seed, the ids and the tick alone")
+        build().move(np.empty((0, 2)), np.empty(0), np.empty(0, dtype=np.uint64), 0)
 
 
 def _try_bodies(scenario: Scenario) -> None:

@@ -4,6 +4,7 @@ from collections import Counter
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -145,6 +146,22 @@ def test_a_sensor_that_sees_too_many_gaussians_at_once_is_refused_with_a_spread_
         check_scenario(resolve("quick", far))
     for possible in ({"mixture.spread": 18.0}, {"filter.prior_density": 0.0}, {"sensors.X.radius": 300.0}, {"filter.kind": "particles"}):
         check_scenario(resolve("quick", far | possible))
+
+
+class Crowd:
+    """A motion that follows the target farthest north."""
+
+    def __init__(self, *_: Any) -> None: ...
+
+    def move(self, positions: np.ndarray, headings: np.ndarray, ids: np.ndarray, tick: int) -> Any:
+        """A tenth of the way to it."""
+        return positions + 0.1 * (positions[positions[:, 1].argmax()] - positions), headings
+
+
+def test_a_motion_that_cannot_move_no_targets_is_refused_before_the_run() -> None:
+    """It would end a run as late as its last target leaves."""
+    with pytest.raises(BadSetting, match=r"Crowd\.move of 0 targets raised ValueError"):
+        check_scenario(resolve("quick", {"targets.motion": f"{__name__}:Crowd"}))
 
 
 def test_classes_that_a_team_does_not_read_are_remarked_on() -> None:
