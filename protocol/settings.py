@@ -18,7 +18,7 @@ import msgspec
 
 from protocol.fields import LARGEST_NUMBER, Name
 from protocol.measuring import MeasurementModel
-from protocol.sensing import LEAST_RADIUS, SENSOR_CLASSES, SensorModel, WedgeSensor
+from protocol.sensing import LEAST_RADIUS, SENSOR_CLASSES, SensorModel, WedgeSensor, measurement_of
 
 Positive = Annotated[float, msgspec.Meta(gt=0.0, le=1.0e9)]
 NotNegative = Annotated[float, msgspec.Meta(ge=0.0, le=1.0e9)]
@@ -124,16 +124,19 @@ class SensorSettings(Section, frozen=True, kw_only=True):
             radius = paper.radius if self.radius is None else self.radius
             prob_detection = paper.prob_detection if self.prob_detection is None else self.prob_detection
             return WedgeSensor(angle, radius, prob_detection, self._measurement(), self.prob_detection_far)
-        from protocol.user_classes import CheckedSensor, build, probe  # which imports this file
+        from protocol.user_classes import CheckedSensor, as_bad_setting, build, probe  # which imports this file
 
         sensor = build(self.model, "Class(**parameters)", (), parameters=self.parameters)
         if self.measures != "position":
             raise ValueError(f"measures = {self.measures!r}: should be 'position' for a sensor of one's own; a wedge has others")
-        missing = [part for part in ("reach", "area", "probability", "footprint") if not hasattr(sensor, part)]
+        with as_bad_setting(self.model):
+            missing = [part for part in ("reach", "area", "probability", "footprint") if not hasattr(sensor, part)]
         if missing:
             raise ValueError(f"{self.model} lacks {', '.join(missing)} of protocol.sensing.SensorModel")
-        if isinstance(sensor, WedgeSensor):
+        if type(sensor) is WedgeSensor:  # a class that derives from it may answer otherwise, and the compiled loops would not ask it
             return sensor
+        if measurement_of(sensor):
+            raise ValueError(f"{self.model}.measures: should be None in a class that derives from WedgeSensor: it measures positions")
         checked = CheckedSensor(sensor, self.model)
         probe(checked, self.model)
         return checked

@@ -1,6 +1,7 @@
 """Settings: every error is one line that names the file, the field, the value and what would be right."""
 
 import math
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +11,7 @@ import pytest
 from protocol.codec import decode, encode
 from protocol.keys import message_key
 from protocol.messages import Hello
-from protocol.sensing import SENSOR_CLASSES, SensorModel, WedgeSensor
+from protocol.sensing import SENSOR_CLASSES, MeasurementModel, SensorModel, WedgeSensor
 from protocol.settings import (
     ArenaSettings,
     BadSetting,
@@ -59,6 +60,24 @@ class Blind:
     """Lacks nearly everything."""
 
     reach = 1.0
+
+
+class Uncalibrated(Camera):
+    """Its reach is not known yet."""
+
+    reach = property(lambda self: sys.exit("no file"), lambda self, value: None)  # type: ignore[assignment]
+
+
+class Holed(WedgeSensor, frozen=True):
+    """A wedge that does not see what is near."""
+
+    def probability(self, points: np.ndarray, pose: Any) -> np.ndarray:
+        """As the wedge says from 4 m on."""
+        return np.where(np.hypot(points[:, 0] - pose[0], points[:, 1] - pose[1]) < 4.0, 0.0, super().probability(points, pose))
+
+
+DISC = {"angle": 6.0, "radius": 8.0, "prob_detection": 0.9}
+BEARING = MeasurementModel("bearing", 0.01, 0.0)
 
 
 WRONG = [
@@ -207,6 +226,13 @@ def test_a_sensor_model_of_the_users_own_is_built_with_its_parameters() -> None:
     assert isinstance(camera, SensorModel) and (camera.reach, camera.area) == (9.0, 81.0)
 
 
+def test_a_class_that_derives_from_the_wedge_is_asked_itself() -> None:
+    """The world asked it and the agents took it for a wedge, so that nothing was tracked."""
+    sensor = sensor_of(CommonSettings(sensors={"X": SensorSettings(model=f"{__name__}:Holed", parameters=DISC)}), "X")
+    assert not isinstance(sensor, WedgeSensor)
+    np.testing.assert_array_equal(sensor.probability(np.array([[3.0, 0.0], [5.0, 0.0]]), (0.0, 0.0, 0.0)), [0.0, 0.9])
+
+
 @pytest.mark.parametrize(
     ("sensor", "complaint"),
     [
@@ -218,6 +244,14 @@ def test_a_sensor_model_of_the_users_own_is_built_with_its_parameters() -> None:
         (SensorSettings(model="no_such_module:Camera"), "sensors.X: No module named 'no_such_module'"),
         (SensorSettings(model="math:Camera"), "sensors.X: module math has no Camera"),
         (SensorSettings(model=f"{__name__}:Camera", parameters={"rich": 1}), "sensors.X: .*rich"),
+        (
+            SensorSettings(model=f"{__name__}:Uncalibrated"),
+            "sensors.X: .*:Uncalibrated raised SystemExit: no file \\(test_settings.py, line",
+        ),
+        (
+            SensorSettings(model=f"{__name__}:Holed", parameters={**DISC, "measures": BEARING}),
+            "sensors.X: .*:Holed.measures: should be None",
+        ),
         (SensorSettings(model=f"{__name__}:Blind"), "sensors.X: .*:Blind lacks area, probability, footprint of"),
     ],
 )
