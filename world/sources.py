@@ -156,5 +156,5 @@ def _check_arena(config: WorldConfig, recording: RecordedWorld) -> None:
     if not len(spread):
         raise BadSetting(f"recorded.start = {settings.start:g}: {where}, nor anywhere else")
     (west, south), (east, north) = spread.min(axis=0), spread.max(axis=0)
-    found = f"seen from there they lie at x from {west:.0f} to {east:.0f} m and y from {south:.0f} to {north:.0f} m"
+    found = f"seen from there they lie at x from {west:.6g} to {east:.6g} m and y from {south:.6g} to {north:.6g} m"
     raise BadSetting(f"recorded.origin = {list(settings.origin)}: {where}; {found}, and should lie within the arena")

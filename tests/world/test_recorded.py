@@ -78,7 +78,8 @@ def test_a_target_that_is_silent_for_long_is_away_in_between_and_named(tmp_path:
         (["10 1 1 1", "0 1 1 1"], "line 3: the time falls by 0.4 s; lines should be in the order of time"),
         (["0 1 x 1"], "line 2: x = 'x': should be a finite number"),
         (["0 1 nan 1"], "line 2: x = 'nan': should be a finite number"),
-        (["0.5 1 1 1"], "line 2: frame = '0.5': should be a whole number >= 0"),
+        (["0.5 1 1 1"], "line 2: frame = '0.5': should be a whole number from 0 to 9007199254740991"),
+        (["0 9007199254740992 1 1"], "line 2: person = '9007199254740992': should be a whole number from 0 to 9007199254740991"),
         (["0 1 1 1", "0 1 2 1"], "line 3: person = 1 stands in frame 0 twice"),
         (["0 1 1 1 "], "line 2: 9 columns; should be 8: frame, person, x, z, y, vx, vz, vy between blanks"),
     ],
@@ -199,12 +200,33 @@ def test_the_mark_that_spreadsheets_write_before_the_first_column_is_no_part_of_
     assert len(read_ships(file, SHIPS).visits) == 1
 
 
+def test_cells_in_quotes_are_what_they_are_without(tmp_path: Path) -> None:
+    """R and many spreadsheets write them."""
+    file = ships(tmp_path, "0 1 50 -1", "10 1 50.001 -1")
+    plain = read_ships(file, SHIPS).visits[0].places
+    file.write_text("\n".join(",".join(f'"{cell}"' for cell in line.split(",")) for line in file.read_text().splitlines()))
+    np.testing.assert_array_equal(read_ships(file, SHIPS).visits[0].places, plain)
+
+
+def test_a_file_in_another_encoding_says_which_is_read(tmp_path: Path) -> None:
+    file = ships(tmp_path, "0 1 50 -1")
+    file.write_text(file.read_text(), encoding="utf-16")
+    with pytest.raises(BadSetting, match=r"ships\.csv: should be text in UTF-8$"):
+        read_ships(file, SHIPS)
+
+
+def test_places_far_out_are_told_in_a_few_digits(tmp_path: Path) -> None:
+    file = people(tmp_path, "0 1 1e300 5", "50 1 1e300 5")
+    with pytest.raises(BadSetting, match=r"they lie at x from 1e\+300 to 1e\+300 m and y from 5 to 5 m,"):
+        recording_of(world_config(resolve("students03", {"recorded.data": str(file), "recorded.origin": [0.0, 0.0], "run.seconds": 2.0})))
+
+
 def test_a_recording_without_a_target_in_the_arena_is_refused_with_the_places_of_all(tmp_path: Path) -> None:
     file = people(tmp_path, "0 1 101 205", "10 1 102 206", "50 1 104 208")
     options = {"recorded.data": str(file), "recorded.origin": [0.0, 0.0], "run.seconds": 2.0}
     with pytest.raises(BadSetting) as error:
         recording_of(world_config(resolve("students03", options)))
-    places = "seen from there they lie at x from 101 to 104 m and y from 205 to 208 m, and should lie within the arena"
+    places = "seen from there they lie at x from 101 to 103.5 m and y from 205 to 207.5 m, and should lie within the arena"
     arena = "no target is in the arena of 18.2 x 18.2 m between 0 s and 1.6 s"
     assert str(error.value) == f"recorded.origin = [0.0, 0.0]: {arena}; {places}"
     recording_of(world_config(resolve("students03", options | {"recorded.origin": [100.0, 200.0]})))

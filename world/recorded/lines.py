@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 from protocol.settings import BadSetting
 
+LARGEST_WHOLE = 2**53 - 1  # above it a double cannot tell all whole numbers apart
 MOST_WRONG = 0.01  # share of the lines of a file that may be left out; 3 always may
 
 
@@ -39,8 +40,8 @@ class Line(NamedTuple):
     def whole(self, column: int, name: str) -> int:
         """The whole number >= 0 in a column, which may be written as 1.0e+00; raises BadSetting likewise."""
         value = self.value(column, name)
-        if value != int(value) or not 0 <= value < 2**53:
-            raise BadSetting(f"{self.place}: {name} = {self.cells[column]!r}: should be a whole number >= 0")
+        if value != int(value) or not 0 <= value <= LARGEST_WHOLE:
+            raise BadSetting(f"{self.place}: {name} = {self.cells[column]!r}: should be a whole number from 0 to {LARGEST_WHOLE}")
         return int(value)
 
 
@@ -71,20 +72,25 @@ def text_of(path: Path) -> str:
     except OSError as error:
         raise BadSetting(f"recorded.data = {str(path)!r}: {error.strerror or error}") from None
     except UnicodeDecodeError:
-        raise BadSetting(f"{path}: should be a text file") from None
+        raise BadSetting(f"{path}: should be text in UTF-8") from None
 
 
 def csv_lines(path: Path, columns: Sequence[str]) -> list[Line]:
     """The lines of a CSV file with exactly these columns, in any order; the cells stand in the order of `columns`."""
     texts = text_of(path).splitlines()
-    head = [name.strip() for name in texts[0].split(",")] if texts else []
+    head = _unquoted(texts[0]) if texts else []
     unknown, missing = [name for name in head if name not in columns], [name for name in columns if name not in head]
     if unknown or missing or len(head) != len(columns):
         fault = "is unknown" if unknown else "is missing" if missing else "is not there once"
         wrong = f"column {(unknown or missing or head)[0]!r} {fault}"
         raise BadSetting(f"{path}, line 1: {wrong}; should be {', '.join(columns)}")
     places = [head.index(name) for name in columns]
-    return _lines(path, texts, 1, lambda text: text.split(","), places, ", ".join(head))
+    return _lines(path, texts, 1, _unquoted, places, ", ".join(head))
+
+
+def _unquoted(text: str) -> list[str]:
+    """The cells of a line of CSV, with or without quotes around them; none of ours holds a comma."""
+    return [cell.strip().strip('"') for cell in text.split(",")]
 
 
 def blank_lines(path: Path, columns: Sequence[str]) -> list[Line]:
