@@ -2,6 +2,7 @@
 
 import re
 import shlex
+from collections.abc import Iterable
 from pathlib import Path
 
 import cyclopts
@@ -9,6 +10,7 @@ import pytest
 
 from deploy.cli.app import app
 from deploy.cli.commands import control, keep, look, run, setup, study  # noqa: F401 -- they add their commands
+from deploy.recording.tables import SCHEMAS
 from deploy.scoring.result import Result
 from deploy.scoring.scores import COLUMNS
 from tests import reference
@@ -76,9 +78,14 @@ def test_the_pages_made_from_the_code_are_those_of_this_code(page: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("heading", "names"), [("The fields of a result", Result.__struct_fields__), ("The columns of scores.csv", tuple(COLUMNS))]
+    ("heading", "names"),
+    [
+        ("The fields of a result", Result.__struct_fields__),
+        ("The columns of scores.csv", tuple(COLUMNS)),
+        ("The tables of an export", {name for schema in SCHEMAS.values() for name, _ in schema}),
+    ],
 )
-def test_the_tables_of_a_result_name_every_key_once(heading: str, names: tuple[str, ...]) -> None:
+def test_the_tables_of_a_result_name_every_key_once(heading: str, names: Iterable[str]) -> None:
     text = (ROOT / "docs/reference/results.md").read_text(encoding="utf-8").partition(f"## {heading}\n")[2].partition("\n## ")[0]
     firsts = [line.split("|")[1] for line in text.splitlines() if line.startswith("| `")]
     assert sorted(name for cell in firsts for name in re.findall(r"`(\w+)`", cell)) == sorted(names)
