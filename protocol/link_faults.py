@@ -114,13 +114,11 @@ class IncomingLinks:
     def __init__(self, seed: int, receiver: str) -> None:
         self._seed, self._receiver = seed, receiver
         self._faults = LinkConditions()
-        self._lossy: dict[str, float] = {}  # sender -> share of loss, for links with independent loss and no other fault
         self._channels: dict[str, Channel] = {}
 
     def set(self, conditions: LinkConditions) -> None:
         """Set the conditions of all links towards this node."""
-        self._faults, plain = conditions, conditions.conditions.items()
-        self._lossy = {name: condition.drop for name, condition in plain if condition == LinkCondition(drop=condition.drop) != CLEAR}
+        self._faults = conditions
 
     def hear(self, sender: str, payload: bytes, now: float) -> list[tuple[float, bytes]]:
         """(delay s, payload) of every copy that arrives of a message that is sent at `now` s."""
@@ -132,10 +130,7 @@ class IncomingLinks:
         channel = self._channels.get(sender)
         if channel is None:
             channel = self._channels[sender] = Channel(self._seed, sender, self._receiver)
-        share = self._lossy.get(sender)
-        if share is None:
-            return channel.copies(payload, condition, now)
-        return LOST if channel.draw()[0] < share else [(0.0, payload)]  # as `copies`, with fewer tests
+        return channel.copies(payload, condition, now)
 
 
 class LiveLink:
