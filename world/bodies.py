@@ -92,7 +92,7 @@ def check_given(config: WorldConfig) -> None:
     least = 2.0 * (config.limits.radius + CLEARANCE)
     for one, other in combinations(config.members if config.limits.radius else (), 2):
         apart = math.dist(config.bodies.poses[one][:2], config.bodies.poses[other][:2])
-        if apart < least:
+        if apart < least - 1e-9:  # 11.2 - 10.0 is less than 1.2
             raise BadSetting(
                 f"bodies.poses.{one}: lies {apart:.2f} m from {other}; should be {least:g} m at least, twice limits.radius + {CLEARANCE:g}"
             )

@@ -23,6 +23,12 @@ def test_places_keep_half_a_step_and_directions_a_thousandth(side: float, step: 
     assert np.abs(found[:, 2:] - states[:, 2:]).max() <= 2.0 * np.pi / 4096 * 1.01
 
 
+def test_a_long_and_narrow_cell_is_as_long_as_a_wide_one() -> None:
+    states = some(side=900.0) * [1.0, 0.1, 1.0, 1.0]
+    found, _ = quantised(states, 2.0, "s1", 4)
+    assert np.abs(found[:, :2] - states[:, :2]).max() <= 0.5 / 64 + 1e-5
+
+
 def test_a_particle_takes_six_bytes_and_what_was_rounded_is_not_rounded_again() -> None:
     once, ids = quantised(some(), 2.0, "s1", 4)
     again, same = quantised(once.astype(float), 2.0, "s1", 4)

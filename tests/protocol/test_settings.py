@@ -238,6 +238,8 @@ def test_a_class_that_derives_from_the_wedge_is_asked_itself() -> None:
     [
         (SensorSettings(radius=3.0), "sensors.X: a wedge needs an angle"),
         (SensorSettings(angle=3.0), "sensors.X: a wedge needs an angle"),
+        (SensorSettings(angle=3.0, radius=3.0, range_noise=0.1), "sensors.X: range_noise, bearing_noise: a sensor of positions has"),
+        (SensorSettings(angle=3.0, radius=3.0, bearing_noise=2.0), "sensors.X: range_noise, bearing_noise: a sensor of positions has"),
         (SensorSettings(model="camera"), "sensors.X: 'camera' should read module:Name"),
         (SensorSettings(model=":Camera"), "sensors.X: ':Camera' should read module:Name"),
         (SensorSettings(model=".here:Camera"), "sensors.X: '.here:Camera' should read module:Name"),

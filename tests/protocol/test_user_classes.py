@@ -1,5 +1,6 @@
 """Classes of the user's own: a right answer is handed through as it is, a wrong one is told with the name of the class."""
 
+import copy
 from typing import Any
 
 import numpy as np
@@ -21,6 +22,7 @@ def test_right_answers_are_the_very_arrays_of_the_class_and_everything_else_is_h
     probe(checked, "mine:Wedge")
     with pytest.raises(AttributeError):
         _ = checked.no_such_part
+    assert copy.copy(checked).reach == 8.0
 
 
 @pytest.mark.parametrize(

@@ -172,6 +172,16 @@ def test_a_clock_that_jumps_shows_in_the_time_a_node_is_told_and_moves_no_messag
     assert [now for now, event in one.events if isinstance(event, Timer)] == [292.5]
 
 
+def test_a_deadline_that_is_taken_back_wakes_nobody() -> None:
+    one = Scribe("a")
+    bus = bus_of(one)
+    for due in (1.0, None):
+        one.due = due
+        bus._rearm(bus._endpoints["a"])
+    bus.run(2.0)
+    assert not [event for _, event in one.events if isinstance(event, Timer)]
+
+
 def test_two_nodes_may_have_one_name_and_one_that_stops_leaves_the_other() -> None:
     older, younger = Scribe("a", incarnation=1), Scribe("a", incarnation=2)
     bus = VirtualBus()

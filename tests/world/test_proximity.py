@@ -94,6 +94,7 @@ def test_an_arena_without_room_and_given_poses_that_overlap_are_refused_in_one_l
         start_poses(world_config(resolve("quick", {"team.composition": "A20", "limits.radius": 8.0})))
     with pytest.raises(BadSetting, match=r"bodies.poses.s1: lies 1.00 m from s2; should be 1.2 m at least"):
         check_given(stage(1.0))
+    check_given(stage(1.2))  # 11.2 - 10.0 is a little less than 1.2
 
 
 def test_sight_keeps_the_order_and_may_be_empty() -> None:
