@@ -85,7 +85,8 @@ def test_a_question_of_a_known_peer_is_answered_and_states_its_position() -> Non
 
 def test_how_far_the_widest_sensor_reaches_is_passed_on_from_beacon_to_beacon() -> None:
     watcher = lookout()
-    watcher.take_beacon(msgspec.structs.replace(beacon("s2", 0, 30.0), widest_reach=25.0, widest_offset=7.0, widest_radius=20.0))
+    watcher.take_beacons([beacon("s2", 0, 30.0)])
+    watcher.take_beacons([msgspec.structs.replace(beacon("s2", 1, 30.0), widest_reach=25.0, widest_offset=7.0, widest_radius=20.0)])
     said = [effect for effect in watcher.answer() if isinstance(effect, Beacon)]
     assert [(one.widest_reach, one.widest_offset, one.widest_radius) for one in said] == [(25.0, 7.0, 20.0)]
 
