@@ -42,6 +42,16 @@ def test_the_pace_falls_within_a_few_rounds_after_the_load_has_gone() -> None:
     assert play(pace, range(80, 80 + 2 * 4), 0.01)[-1] == 1
 
 
+def test_the_need_falls_by_the_two_last_rounds_where_none_is_so_short_that_it_is_enough() -> None:
+    pace = Pace(PERIOD, measured=True)
+    play(pace, range(80), 2.5 * PERIOD)
+    needs = []
+    for tick in (80, 84):
+        play(pace, range(tick, tick + 1), 0.45 * PERIOD)
+        needs.append(pace.need)
+    assert needs == [2, 1]
+
+
 def test_an_agent_keeps_the_slowest_need_of_its_peers_but_does_not_state_it() -> None:
     pace = Pace(PERIOD, measured=True)
     assert play(pace, range(8), 0.01, [1, 4, 2])[-1] == 4 and pace.need == 1
