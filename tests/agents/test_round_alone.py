@@ -210,7 +210,9 @@ def test_particles_stay_in_the_cell_of_the_last_round() -> None:
     assert round_cell is not None and belief.mine.claim is round_cell.region.claim
     assert (belief.mine.targets.states[:, 0] <= round_cell.region.polygon[:, 0].max() + 1e-6).all()
     moved = swarm.agent.context.tracker.keep_claim(belief, Step(swarm.agent.config, 5))
-    assert moved.tick == 4 and moved.claim_tick == 0
+    assert moved.tick == 4 and moved.claim_tick == 0 and len(moved.copies.skipped_steps) == len(belief.copies.skipped_steps) + 1
+    states = moved.mine.targets.states
+    assert len(states) and np.array_equal(states, states.astype(np.float32))  # receivers of the next gossip hold the same ones
 
 
 def test_ticks_of_which_nothing_was_seen_keep_the_particles_that_enter_the_cell() -> None:
