@@ -89,8 +89,9 @@ def _scores(indexed: _Indexed) -> TrackScore:
 
 def similarity(targets: np.ndarray, estimates: np.ndarray, cutoff: float) -> np.ndarray:
     """max(0, 1 - d / cutoff) of each target and estimate (T, M)."""
-    offsets = np.asarray(targets, dtype=float).reshape(-1, 1, 2) - np.asarray(estimates, dtype=float).reshape(1, -1, 2)
-    return np.maximum(0.0, 1.0 - np.sqrt((offsets * offsets).sum(axis=2)) / cutoff)
+    (x, y), (to_x, to_y) = (np.asarray(places, dtype=float).reshape(-1, 2).T for places in (targets, estimates))
+    dx, dy = np.subtract.outer(x, to_x), np.subtract.outer(y, to_y)
+    return np.maximum(0.0, 1.0 - np.sqrt(dx * dx + dy * dy) / cutoff)
 
 
 def _of_places(ticks: Sequence[TrackTick], cutoff: float) -> _Indexed:
@@ -135,7 +136,8 @@ def _idf1(indexed: _Indexed) -> float:
     """IDF1 (Ristani and others, 2016): twice the matches under the best one-to-one map of targets to labels, over all ticks of both."""
     together = np.zeros((len(indexed.target_ticks), len(indexed.label_ticks)))
     for rows, columns, similar in indexed.ticks:
-        together[np.ix_(rows, columns)] += similar >= MATCHED
+        at, to = np.nonzero(similar >= MATCHED)
+        together[rows[at], columns[to]] += 1.0
     total = int(indexed.target_ticks.sum() + indexed.label_ticks.sum())
     return 2.0 * float(together[_assigned(together)].sum()) / max(1, total)
 
@@ -145,12 +147,15 @@ def _hota(indexed: _Indexed) -> float:
     targets, labels = indexed.target_ticks, indexed.label_ticks
     likely = np.zeros((len(targets), len(labels)))
     for rows, columns, similar in indexed.ticks:
-        either = similar.sum(axis=0)[None, :] + similar.sum(axis=1)[:, None] - similar
-        likely[np.ix_(rows, columns)] += np.divide(similar, either, out=np.zeros_like(similar), where=either > EPSILON)
+        at, to = np.nonzero(similar)  # few pairs of all are near each other
+        either = similar.sum(axis=0)[to] + similar.sum(axis=1)[at] - similar[at, to]
+        likely[rows[at], columns[to]] += np.where(either > EPSILON, similar[at, to] / either, 0.0)
     aligned = likely / np.maximum(targets[:, None] + labels[None, :] - likely, EPSILON)
     pairs, values = [np.empty(0, dtype=np.int64)], [np.empty(0)]
     for rows, columns, similar in indexed.ticks:
-        at, to = _assigned(aligned[np.ix_(rows, columns)] * similar)
+        weighted, (at, to) = np.zeros_like(similar), np.nonzero(similar)
+        weighted[at, to] = aligned[rows[at], columns[to]] * similar[at, to]
+        at, to = _assigned(weighted)
         pairs.append(rows[at] * len(labels) + columns[to])
         values.append(similar[at, to])
     codes, found = np.concatenate(pairs), np.concatenate(values)
