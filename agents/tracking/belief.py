@@ -118,8 +118,8 @@ class ParticlePhd(NamedTuple):
     def start(self, name: str, config: AgentConfig, box: tuple[float, float, float, float] | None = None) -> Belief:
         """See `Tracker.start`."""
         filters, arena = config.filter, config.arena
-        everywhere = prior(filters.seed, prior_size(filters, arena), filters, arena)
-        return belief_without_claim(name, -1, NO_PARTICLES, Copies(everywhere if box is None else prior_around(everywhere, box)))
+        given = filters.seed, prior_size(filters, arena), filters, arena
+        return belief_without_claim(name, -1, NO_PARTICLES, Copies(prior(*given) if box is None else prior_around(*given, box)))
 
     def gossip_fields(self, mine: OwnedState, settings: FilterSettings) -> dict[str, Any]:
         """See `Tracker.gossip_fields`."""
