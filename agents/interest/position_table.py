@@ -1,6 +1,7 @@
 """The last known positions of peers, for an agent that hears neighbours only: a row of numbers for each, by its newest message."""
 
 import struct
+from collections.abc import Iterator
 from itertools import compress
 from typing import NamedTuple
 
@@ -79,9 +80,8 @@ class PositionTable:
         if self._has_position(peer):
             self.put(peer.name, beacon.tick, beacon_row(beacon, self._diagram))
 
-    def note_all(self, beacons: list[Beacon], peers: dict[str, Peer]) -> list[Beacon]:
-        """Note the beacons that change nothing but the position of a live, known peer; return the other beacons."""
-        others = []
+    def note_all(self, beacons: list[Beacon], peers: dict[str, Peer]) -> Iterator[Beacon]:
+        """Note the beacons that change nothing but the position of a live, known peer; yield each other one, to be taken at once."""
         for beacon in beacons:
             peer = peers.get(beacon.sender)
             if (
@@ -93,11 +93,10 @@ class PositionTable:
                 or beacon.tick < peer.beacon.tick
                 or not same_sensor(beacon, peer.beacon)
             ):
-                others.append(beacon)
+                yield beacon
             else:
                 peer.beacon = beacon
                 self.put(beacon.sender, beacon.tick, beacon_row(beacon, self._diagram))
-        return others
 
     def matters(self, beacon: Beacon) -> bool:
         """Whether a new peer with this beacon could change the selection before the next one is due."""

@@ -378,7 +378,7 @@ class PeerTable:
 
     def note_heard(self, names: Iterable[str]) -> None:
         """Note whose beacons have come: of too many strangers the one that has been silent for longest is forgotten."""
-        for name in names:
+        for name in names if self._strangers else ():
             if name in self._strangers:
                 self._strangers.move_to_end(name)
 

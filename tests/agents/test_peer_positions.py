@@ -81,8 +81,8 @@ def test_beacons_of_the_well_known_are_noted_and_the_others_are_given_back() -> 
         beacon("s3", 4, 99.0, incarnation=2),
         beacon("s4", 4, 40.0),
     )
-    assert found.positions.note_all([plain, younger, stranger], found.peers) == [younger, stranger]
-    assert found.positions.note_all([stale], found.peers) == [stale]
+    assert [*found.positions.note_all([plain, younger, stranger], found.peers)] == [younger, stranger]
+    assert [*found.positions.note_all([stale], found.peers)] == [stale]
     assert eyes(found) == {"s2": 12.0, "s3": 20.0} and found.peers["s2"].beacon is plain
 
 
