@@ -324,3 +324,20 @@ def test_at_every_size_and_in_both_themes_nothing_is_wide_small_or_a_barrier(url
                 if one["impact"] in ("serious", "critical")
             ]
             assert found == [], (width, height, found)
+
+
+CLIPPED = """(() => {
+  const link = document.querySelector('#link');
+  link.className = 'off';
+  link.textContent = 'live; this machine is too small for 10 agents at rate 1 (45 % of the ticks come): take --rate 0.45 or less';
+  document.querySelector('#figures b small').textContent = 'rounds, 84 late';
+  return ['#link', '#clock', '#figures button'].filter((name) => {
+    const thing = document.querySelector(name);
+    return thing.scrollWidth > thing.clientWidth;
+  });
+})()"""
+
+
+def test_advice_about_the_machine_and_rounds_that_were_late_can_be_read(url: str, page: Any) -> None:
+    still(page, url)
+    assert page.evaluate(CLIPPED) == []
