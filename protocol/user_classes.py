@@ -20,6 +20,7 @@ from protocol.settings import BadSetting, load_named
 AT_REST: Pose = (0.0, 0.0, 0.0)
 GRID = 200  # points on a side of the square in which a sensor is sampled
 AREA_FACTOR = 1.5  # times that an area may differ from the sampled one, whose border is as coarse as the grid
+MOST = 1e13  # m or m^2 of a reach or an area
 LEAST_SEEN = 100  # points of the grid with a probability above 0 from which on the sampled area says something
 ROOMS = Path(__file__).resolve().parents[1]
 NOT_THE_USERS = (  # where code lies that is not the user's: its lines explain no error of a class, and no study keeps its files
@@ -40,7 +41,9 @@ def as_bad_setting(what: str) -> Iterator[None]:
     except (Exception, SystemExit) as error:
         frames = traceback.extract_tb(error.__traceback__)
         places = [
-            f" ({Path(frame.filename).name}, line {frame.lineno})" for frame in frames if not frame.filename.startswith(NOT_THE_USERS)
+            f" ({Path(frame.filename).name}, line {frame.lineno})"
+            for frame in frames
+            if not frame.filename.startswith(NOT_THE_USERS) and not frame.filename.endswith(".pyx")  # Cython's names have no folder
         ]
         raise BadSetting(f"{what} raised {type(error).__name__}: {' '.join(str(error).split())}{''.join(places[-1:])}") from error
 
@@ -143,8 +146,8 @@ class CheckedSensor:
     def _positive(self, part: str) -> float:
         with as_bad_setting(f"{self._name}.{part}"):
             value = getattr(self._sensor, part)
-        if not is_number(value) or not 0.0 < value <= 1e13:
-            raise BadSetting(f"{self._name}.{part} = {shown(value)}: should be a number > 0")
+        if not is_number(value) or not 0.0 < value <= MOST:
+            raise BadSetting(f"{self._name}.{part} = {shown(value)}: should be a number > 0 and at most {MOST:g}")
         return float(value)
 
     def probability(self, points: np.ndarray, pose: Pose) -> np.ndarray:

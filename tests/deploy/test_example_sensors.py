@@ -64,10 +64,20 @@ def test_outlines_are_counter_clockwise_and_within_reach(sensor: SensorModel) ->
     assert np.hypot(outline[:, 0] - 3.0, outline[:, 1] - 4.0).max() <= sensor.reach * (1.0 + 1e-9)
 
 
-@pytest.mark.parametrize("text", ["", "0.1,0.2\n0.3\n", "0,0\n0,0\n", "1.5,0\n", "0.5,half\n"])
-def test_data_that_are_no_grid_of_probabilities_are_refused(text: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("", "should hold rows of equal length"),
+        ("0.1,0.2\n0.3\n", "should hold rows of equal length"),
+        ("0,0\n0,0\n", "holds 0 alone; probabilities should lie from 0 to 1"),
+        ("0.1,90\n", "holds 90; probabilities should lie from 0 to 1"),
+        ("0.1,nan\n", "holds nan; probabilities should lie from 0 to 1"),
+        ("0.5,half\n", "could not convert string to float: 'half'"),
+    ],
+)
+def test_data_that_are_no_grid_of_probabilities_are_refused(text: str, said: str, tmp_path: Path) -> None:
     (tmp_path / "bad.csv").write_text(text)
-    with pytest.raises(ValueError, match="file = "):
+    with pytest.raises(ValueError, match=f"file = .*: {said}"):
         SampledGrid(str(tmp_path / "bad.csv"), 2.0)
 
 

@@ -1,6 +1,7 @@
 """Classes of the user's own: a right answer is handed through as it is, a wrong one is told with the name of the class."""
 
 import copy
+import math
 from typing import Any
 
 import numpy as np
@@ -65,6 +66,25 @@ def test_an_error_without_a_line_of_the_users_names_no_line() -> None:
 
     with pytest.raises(BadSetting, match=r"raised TypeError: .* takes 1 positional argument but 3 were given$"):
         CheckedSensor(Blind(), "mine:Blind").probability(POINTS, (0.0, 0.0, 0.0))  # type: ignore[arg-type]
+
+
+def test_an_error_inside_numpy_names_the_line_of_the_users_that_called_it() -> None:
+    """Its compiled parts have names without a folder."""
+    with (
+        pytest.raises(BadSetting, match=r"raised ValueError: unrecognized seed string \(test_user_classes\.py, line \d+\)$"),
+        as_bad_setting("x"),
+    ):
+        np.random.default_rng([1, "s1"])  # type: ignore[list-item]
+
+
+@pytest.mark.parametrize("area", [0.0, 2e13, math.inf, math.nan])
+def test_an_area_that_cannot_be_is_told_with_the_largest(area: float) -> None:
+    class Wide:
+        pass
+
+    Wide.area = area  # type: ignore[attr-defined]
+    with pytest.raises(BadSetting, match=r"^mine:Wide\.area = .*: should be a number > 0 and at most 1e\+13$"):
+        _ = CheckedSensor(Wide(), "mine:Wide").area  # type: ignore[arg-type]
 
 
 class Broken:

@@ -75,8 +75,10 @@ class SampledGrid:
             raise ValueError(f"file = {file!r}: should hold rows of equal length")
         self._spacing = spacing
         self._grid = np.array(rows)[::-1, ::-1]  # now rows go ahead and columns to the left, along the sensor's own axes
-        if not (np.all(self._grid >= 0.0) and np.all(self._grid <= 1.0) and np.any(self._grid > 0.0)):
-            raise ValueError(f"file = {file!r}: probabilities lie from 0 to 1 and are not all 0")
+        wrong = self._grid[~((self._grid >= 0.0) & (self._grid <= 1.0))]
+        if len(wrong) or not self._grid.any():
+            found = f"holds {wrong[0]:g}" if len(wrong) else "holds 0 alone"
+            raise ValueError(f"file = {file!r}: {found}; probabilities should lie from 0 to 1 and not all be 0")
         self._cells = [(int(row), int(column)) for row, column in zip(*np.nonzero(self._grid))]
         self.area = len(self._cells) * spacing**2
         self.reach = max(math.hypot(x, y) for cell in self._cells for x, y in self._corners(*cell)) * (1.0 + 1e-9)
