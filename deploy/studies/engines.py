@@ -57,6 +57,11 @@ class SharedProgress(Protocol):
 
 _shares: Any = None  # in a worker: how far each trial is, shared with the study
 
+WORKER_ENDED = (
+    "a worker process ended: a machine that lacks memory kills one, and fewer --workers need less; "
+    'or a script calls covey.study outside of `if __name__ == "__main__":`, and each worker begins it anew'
+)
+
 
 class TrialFailed(Exception):
     """A trial ended with an error; the text says which and how."""
@@ -104,7 +109,7 @@ def _harvest(done: "Mapping[Future[Row], Numbered]") -> FinishedTrials:
     yield rows
     for trial, why in failed:
         if isinstance(why, BrokenProcessPool):  # of all trials that were open then
-            raise TrialFailed("a worker process was killed, as a machine does that lacks memory; fewer --workers need less") from why
+            raise TrialFailed(WORKER_ENDED) from why
         raise TrialFailed(f"{trial.command()}: {type(why).__name__}: {why}") from why
 
 
