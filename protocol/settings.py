@@ -213,7 +213,7 @@ def load_named(name: str) -> Any:
         ) from error
     if not hasattr(found, attribute):
         alike = difflib.get_close_matches(attribute, dir(found), 1)
-        raise ValueError(f"module {module} has no {attribute}" + (f"; did you mean {alike[0]}?" if alike else ""))
+        raise ValueError(f"module {module} has no {attribute}; " + (f"did you mean {alike[0]}?" if alike else f"it is {found}"))
     return getattr(found, attribute)
 
 

@@ -244,7 +244,7 @@ def test_a_class_that_derives_from_the_wedge_is_asked_itself() -> None:
         (SensorSettings(model=":Camera"), "sensors.X: ':Camera' should read module:Name"),
         (SensorSettings(model=".here:Camera"), "sensors.X: '.here:Camera' should read module:Name"),
         (SensorSettings(model="no_such_module:Camera"), "sensors.X: No module named 'no_such_module'"),
-        (SensorSettings(model="math:Camera"), "sensors.X: module math has no Camera"),
+        (SensorSettings(model="math:Camera"), "sensors.X: module math has no Camera; it is <module 'math' "),
         (SensorSettings(model=f"{__name__}:Camera", parameters={"rich": 1}), "sensors.X: .*rich"),
         (
             SensorSettings(model=f"{__name__}:Uncalibrated"),
