@@ -31,9 +31,8 @@ def write_mot(recording: Recording, folder: Path) -> list[Path]:
         found += [_row(scenario, frame, UNKNOWN, x, y) for x, y in tick.estimates.tolist()]
         for label, (x, y) in zip(tick.labels[has_label].tolist(), tick.estimates[has_label].tolist()):
             labelled.append(_row(scenario, frame, numbers.setdefault(label, len(numbers) + 1), x, y))
-    files = [_written(folder / "gt" / "gt.txt", truth), _written(folder / "det" / "det.txt", found)]
-    if labelled:
-        files.append(_written(folder / "res" / "res.txt", labelled))
+    rows = {"gt": truth, "det": found, "res": labelled}
+    files = [_written(folder / name / f"{name}.txt", lines) for name, lines in rows.items()]
     return [*files, _written(folder / "seqinfo.ini", _about(recording, frame))]
 
 

@@ -92,6 +92,14 @@ def test_motmetrics_reads_the_truth_with_its_names_and_the_estimates_as_detectio
     assert "seqLength=20" in files[3].read_text() and "frameRate=4" in files[3].read_text()
 
 
+def test_no_rows_of_an_earlier_export_stay_in_the_folder(recording: Recording, tmp_path: Path) -> None:
+    """Of a run without estimates the file of those with identities was not written, and that of another run stayed."""
+    write_mot(recording, tmp_path / "mot")
+    nothing = {"run.seconds": 1.0, "targets.count": 0, "detection.clutter": 0.0}
+    files = write_mot(recorded(tmp_path, nothing), tmp_path / "mot")
+    assert [file.read_text() for file in files[:3]] == ["", "", ""]
+
+
 Exported = tuple[list[int], np.ndarray, list[int], np.ndarray]  # ids and places of targets, of estimates
 
 
