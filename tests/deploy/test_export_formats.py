@@ -32,10 +32,10 @@ ORIGIN = (50.7, -1.2)
 BEGAN = "2016-01-12T13:02:11Z"
 
 
-def recorded(folder: Path, settings: dict[str, object]) -> Recording:
-    """20 ticks of the scenario `quick`."""
+def recorded(folder: Path, settings: dict[str, object], scenario: str = "quick") -> Recording:
+    """5 s of a scenario; 20 ticks of `quick`."""
     file = folder / "a.mcap"
-    simulation = Simulation(resolve("quick", {"run.seconds": 5.0, "run.name": "seen", **settings}))
+    simulation = Simulation(resolve(scenario, {"run.seconds": 5.0, "run.name": "seen", **settings}))
     Observers(simulation.scorer, open_recorder(file, simulation.scenario, virtual=True))
     simulation.run()
     return Recording(file)
@@ -98,6 +98,15 @@ def test_no_rows_of_an_earlier_export_stay_in_the_folder(recording: Recording, t
     nothing = {"run.seconds": 1.0, "targets.count": 0, "detection.clutter": 0.0}
     files = write_mot(recorded(tmp_path, nothing), tmp_path / "mot")
     assert [file.read_text() for file in files[:3]] == ["", "", ""]
+
+
+def test_targets_are_counted_from_1_whatever_their_file_calls_them(tmp_path: Path) -> None:
+    """TrackEval makes two tables as long as the largest id: of ships, whose number has nine digits, 4 GB."""
+    people = tmp_path / "people.txt"
+    people.write_text("".join(f"{frame} {who} {1 + frame / 50} 0 5 0 0 0\n" for frame in range(0, 130, 10) for who in (235000001, 7)))
+    settings: dict[str, object] = {"recorded.data": str(people), "recorded.origin": [0.0, 0.0]}
+    frames = exported(write_mot(recorded(tmp_path, settings, "students03"), tmp_path))
+    assert len(frames) == 12 and all(ids == [1, 2] for ids, *_ in frames)
 
 
 Exported = tuple[list[int], np.ndarray, list[int], np.ndarray]  # ids and places of targets, of estimates
