@@ -28,6 +28,8 @@ UNKNOWN_HEIGHT = "9999999.0"  # of Cursor-on-Target: not known, m
 TARGET, SENSOR = {"ships": "a-u-S", "": "a-u-G"}, "a-f-G-E-S"  # unknown at sea or on the ground; a friendly sensor
 HOW = "m-f"  # from the fusion of several sensors by a machine
 
+Way = list[tuple[float, tuple[float, float]]]  # s of the world, and longitude and latitude
+
 
 class Earth(NamedTuple):
     """Where (0, 0) of the arena is, and when the run began."""
@@ -81,17 +83,24 @@ def _zero_of(recording: Recording) -> float:
 
 
 def write_geojson(recording: Recording, earth: Earth, file: Path) -> int:
-    """Write a collection of features: a point for each estimate, a line for each true target and each body; the number of features."""
+    """Write a collection of features: a point for each estimate, a line for each true target and each body; the number of features.
+
+    A target that was away in between has a line for each time that it was there.
+    """
     points: list[dict[str, Any]] = []
-    lines: dict[tuple[str, str], list[tuple[float, tuple[float, float]]]] = {}
+    lines: list[tuple[str, str, Way]] = []
+    before: dict[tuple[str, str], Way] = {}  # those that were there in the last tick
     for tick in reported_ticks(recording):
         time = tick.truth.time
         points += [_point(earth, one, time) for one in tick.targets]
-        for name, (x, y) in zip(tick.truth.ids.tolist(), tick.truth.targets.tolist()):
-            lines.setdefault(("target", str(name)), []).append((time, earth.place(x, y)))
-        for body, (x, y, _) in zip(tick.truth.bodies, tick.truth.poses.tolist()):
-            lines.setdefault(("sensor", body), []).append((time, earth.place(x, y)))
-    features = [*points, *(_line(earth, kind, name, way) for (kind, name), way in lines.items())]
+        here = [(("target", str(name)), x, y) for name, (x, y) in zip(tick.truth.ids.tolist(), tick.truth.targets.tolist())]
+        here += [(("sensor", body), x, y) for body, (x, y, _) in zip(tick.truth.bodies, tick.truth.poses.tolist())]
+        now = {key: before.get(key, []) for key, _, _ in here}
+        lines += [(*key, way) for key, way in now.items() if not way]
+        for key, x, y in here:
+            now[key].append((time, earth.place(x, y)))
+        before = now
+    features = [*points, *(_line(earth, kind, name, way) for kind, name, way in lines)]
     file.write_bytes(msgspec.json.encode({"type": "FeatureCollection", "features": features}))
     return len(features)
 
@@ -102,7 +111,7 @@ def _point(earth: Earth, one: ReportedTarget, time: float) -> dict[str, Any]:
     return {"type": "Feature", "geometry": {"type": "Point", "coordinates": earth.place(one.x, one.y)}, "properties": properties}
 
 
-def _line(earth: Earth, kind: str, name: str, way: list[tuple[float, tuple[float, float]]]) -> dict[str, Any]:
+def _line(earth: Earth, kind: str, name: str, way: Way) -> dict[str, Any]:
     """A line; a target that was there in one tick only is a point, because a line has two places."""
     places = [place for _, place in way]
     geometry = {"type": "LineString", "coordinates": places} if len(way) > 1 else {"type": "Point", "coordinates": places[0]}

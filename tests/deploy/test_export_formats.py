@@ -1,6 +1,7 @@
 """Exports to MOT, GeoJSON and Cursor-on-Target, read back with other libraries: motmetrics, geojson with shapely, and pytak."""
 
 import gc
+import json
 import tracemalloc
 import xml.etree.ElementTree as ElementTree
 from pathlib import Path
@@ -107,6 +108,19 @@ def test_targets_are_counted_from_1_whatever_their_file_calls_them(tmp_path: Pat
     settings: dict[str, object] = {"recorded.data": str(people), "recorded.origin": [0.0, 0.0]}
     frames = exported(write_mot(recorded(tmp_path, settings, "students03"), tmp_path))
     assert len(frames) == 12 and all(ids == [1, 2] for ids, *_ in frames)
+
+
+def test_a_target_that_was_away_has_a_line_for_each_time_that_it_was_there(tmp_path: Path) -> None:
+    """One line led straight across the time and the ground in between."""
+    people = tmp_path / "people.txt"
+    rows = [(frame, who) for frame in range(0, 130, 10) for who in (3, 7) if who == 3 or not 40 < frame < 90]
+    people.write_text("".join(f"{frame} {who} {1 + frame / 50} 0 5 0 0 0\n" for frame, who in rows))
+    settings: dict[str, object] = {"recorded.data": str(people), "recorded.origin": [0.0, 0.0], "recorded.longest_gap": 1.0}
+    found = recorded(tmp_path, settings, "students03")
+    write_geojson(found, earth_of(found, ORIGIN, BEGAN), tmp_path / "a.geojson")
+    features = json.loads((tmp_path / "a.geojson").read_text())["features"]
+    times = [(one["properties"]["name"], len(one["properties"]["times"])) for one in features if one["properties"]["kind"] == "target"]
+    assert times == [("3", 12), ("7", 5), ("7", 3)]
 
 
 Exported = tuple[list[int], np.ndarray, list[int], np.ndarray]  # ids and places of targets, of estimates
