@@ -153,10 +153,22 @@ def test_a_sure_target_that_is_missed_loses_little_and_an_unsure_one_what_bayes_
         assert found.weights[0] == pytest.approx(weight * (1.0 - 0.8) / (1.0 - 0.8 * weight))
 
 
+def test_a_birth_beside_a_component_explains_a_part_of_it() -> None:
+    whole, seen, place = component(20.0, 20.0, 0.01, weight=0.6), np.full((1, 9), 0.8), np.array([[20.5, 20.0]])
+    found = gaussian_phd.missed(whole, seen, np.array([0.1]), place, np.array([0.2]), config())
+    rest = 0.6 - 0.1 - 0.2
+    assert found.weights == pytest.approx([rest * (1.0 - 0.8) / (1.0 - 0.8 * rest)])
+
+
 def test_a_component_out_of_view_stays_as_it_is() -> None:
     far = component(35.0, 20.0, 0.5)
     found = gaussian_phd.correct(far, [scan([(20.0, 20.0)])], Step(config(), 3))
     assert all(np.array_equal(one, other) for one, other in zip(found, far))
+
+
+def test_a_light_component_that_is_hardly_seen_stays_until_components_are_merged() -> None:
+    light = join([component(20.0, 20.0, 0.5, weight=0.5e-4), component(31.5, 20.0, 0.5, weight=0.5e-4, id=2)])
+    assert gaussian_phd.correct(light, [scan([])], Step(config(), 3)).ids.tolist() == [2]
 
 
 def test_a_component_across_the_edge_of_the_footprint_moves_to_the_part_that_was_not_seen() -> None:

@@ -99,7 +99,7 @@ def test_who_is_cut_off_from_the_world_alone_asks_for_a_new_session_and_nobody_e
 
     simulation.on_truth = cut
     simulation.run()
-    assert {name for name, agent in simulation.agents.items() if agent.counters["reopened"]} == {"s1"}
+    assert {name: agent.counters["reopened"] for name, agent in simulation.agents.items() if agent.counters["reopened"]} == {"s1": 1}
     assert simulation.agents["s1"].tick < 25
 
 

@@ -91,6 +91,18 @@ def test_how_far_the_widest_sensor_reaches_is_passed_on_from_beacon_to_beacon() 
     assert [(one.widest_reach, one.widest_offset, one.widest_radius) for one in said] == [(25.0, 7.0, 20.0)]
 
 
+@pytest.mark.parametrize("field", ["widest_reach", "widest_offset", "widest_radius"])
+def test_a_beacon_is_due_at_once_when_a_larger_agent_gets_known(field: str) -> None:
+    watcher, outcome = lookout(), Agent(CONFIG, "s1").outcome
+
+    def beacons(tick: int) -> list[Beacon]:
+        return [effect for effect in watcher.close_round(standing("s1", tick), outcome, STAND) if isinstance(effect, Beacon)]
+
+    quiet = next(tick for tick in range(1, int(BEACON_PERIOD)) if not beacons(tick))
+    watcher.take_beacons([msgspec.structs.replace(beacon("s2", 0, 30.0), **{field: 50.0})])
+    assert [getattr(one, field) for one in beacons(quiet)] == [50.0]
+
+
 def test_an_announced_sensor_counts_though_its_beacon_says_nothing_of_others() -> None:
     watcher = lookout()
     watcher.take_beacon(msgspec.structs.replace(beacon("s2", 0, 30.0), sensor_class="D"))

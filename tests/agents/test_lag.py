@@ -2,7 +2,12 @@
 
 import pytest
 
+from agents.backend import PLAIN
+from agents.config import AgentConfig, TimingSettings
 from agents.lag import Lag
+from agents.open_rounds import OpenRounds
+from agents.round import context_of
+from protocol.settings import RunSettings
 
 PERIOD, TIMEOUT = 0.5, 0.25
 
@@ -58,6 +63,15 @@ def test_the_lag_falls_two_seconds_after_the_last_late_gossip() -> None:
     after = play(lag, range(20, 40), 0.0)
     fall = after.index(0)
     assert set(after[:fall]) == {1} and set(after[fall:]) == {0} and fall == 3  # the last late one is that of tick 18, in tick 19
+
+
+def test_at_a_slower_pace_no_lag_is_kept() -> None:
+    config = AgentConfig(run=RunSettings(dt=PERIOD), members={"s1": "A"}, timing=TimingSettings(look_ahead=2.5))
+    rounds = OpenRounds(context_of(config, "s1", "A", PLAIN))
+    play(rounds.lag, range(20), 1.0)
+    for pace, lag in ((1, 2), (2, 0)):
+        rounds.end_tick(19, pace, 19 * PERIOD)
+        assert (rounds.lag.need, rounds.lag.current) == (lag, lag)
 
 
 def test_a_round_is_postponed_only_when_nearly_nothing_has_come_and_not_for_ever() -> None:
