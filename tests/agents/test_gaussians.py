@@ -202,6 +202,11 @@ def test_two_close_components_become_one_of_the_same_mass_mean_and_covariance() 
     assert one.covariances[0, 1, 1] == pytest.approx(1.0)
 
 
+def test_a_component_merges_with_a_lighter_one_before_it() -> None:
+    two = join([component(11.0, 10.0, 1.0, weight=0.1), component(10.0, 10.0, 1.0, weight=0.3, id=2)])
+    assert merged(two, MixtureSettings()).ids.tolist() == [2]
+
+
 def test_components_without_weight_are_dropped_before_any_are_merged() -> None:
     """Where hardly anything survives a tick, weights underflow: their shares of a mass of 0 were no numbers."""
     places = ((10.0, 0.0), (30.0, 0.3), (10.5, 0.0))

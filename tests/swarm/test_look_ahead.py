@@ -20,10 +20,10 @@ from agents.tracking.claims import NO_CLAIM
 from agents.tracking.extraction import estimate_targets
 from agents.tracking.gaussian_reduction import estimate_and_label
 from agents.tracking.gaussians import Mixture
-from agents.tracking.particles import Particles, canonical, join, select
+from agents.tracking.particles import NO_PARTICLES, Particles, canonical, join, select
 from agents.tracking.phd import predict
 from agents.tracking.step import Step
-from agents.tracking.tracker import RegionInput
+from agents.tracking.tracker import RegionInput, belief_without_claim
 from deploy.scenario import Scenario, agent_config, resolve
 from deploy.simulation import Simulation, compiled
 from deploy.verify.central_filter import _widely, drawn, particle_difference
@@ -155,6 +155,14 @@ def test_made_up_ticks_of_one_peer_push_out_no_gossip_of_the_own_agent_or_of_sev
         history.put(said("s4", tick), sensor)
     assert history.table(said("s1", 7)).names == ("s1",) and history.own_gossip(7, said("s1", 9)).tick == 7
     assert history.own_gossip(7, said("s1", 9)).scanned and history.has_later("s3", 7) and len(history._said) <= history._most_ticks
+
+
+def test_a_replay_begins_with_the_belief_of_the_tick_or_with_the_oldest() -> None:
+    context = context_of(agent_config(resolve("efficacy", {"run.dt": DT})), "s1", "A", PLAIN)
+    history, beliefs = GossipHistory(context, 2), [belief_without_claim("s1", tick, NO_PARTICLES, ()) for tick in range(8)]
+    for belief in beliefs[:7]:
+        history.keep(belief)
+    assert [history.at_or_before(tick, beliefs[7]).tick for tick in (9, 7, 6, 4, 0)] == [7, 7, 6, 4, 3]
 
 
 def test_a_density_that_was_moved_on_shows_weak_targets_and_none_twice() -> None:
