@@ -142,6 +142,11 @@ def test_an_observer_that_does_not_hear_whom_the_agents_hear_asks_for_a_new_sess
     assert orders(ListenerWatchdog(("s1", "s2", "s3"), LEASE), [hello("s1", "s3"), hello("s3", "s1")], 30.0) == [], "s2 is dead"
 
 
+def test_one_agent_of_three_cannot_make_an_observer_open_a_new_session() -> None:
+    others = [hello("s1", "s4"), hello("s2", "s1"), hello("s3", "s1")]
+    assert orders(ListenerWatchdog(("s1", "s2", "s3", "s4"), LEASE), others, 30.0) == []
+
+
 def test_an_observer_takes_no_word_of_made_up_names() -> None:
     strangers = [hello(f"x{number}", "s2") for number in range(3)]
     watchdog = ListenerWatchdog(("s1", "s2"), LEASE)
