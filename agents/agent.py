@@ -314,13 +314,11 @@ class Agent(Node):
     def _reopen_if_behind(self, gossips: list[Gossip], now: float) -> list[Effect]:
         """The effects that open a new session, if peers have been more than one tick ahead for long; else none."""
         assert self._interest is not None
-        for gossip in gossips:
-            if gossip.tick > self._newest_tick + 1:
-                reopenings = self._interest.reopen_if_behind(self.tick, now)
-                self.counters["reopened"] += len(reopenings)
-                if reopenings:
-                    return reopenings
-        return []
+        if not any(gossip.tick > self._newest_tick + 1 for gossip in gossips):
+            return []
+        reopenings = self._interest.reopen_if_behind(self.tick, now)
+        self.counters["reopened"] += len(reopenings)
+        return reopenings
 
     def _on_beacons(self, beacons: list[Beacon], now: float) -> list[Effect]:
         """Take the beacons of other agents, and plan an answer if one of them needs it."""
@@ -422,8 +420,7 @@ class Agent(Node):
     def _keep_pace(self, now: float) -> None:
         """Judge the pace and the lag at the end of a tick."""
         self._pace.close(self.tick, self.peer_table.slow_paces())
-        if self._pace.current != self.peer_table.pace:
-            self.peer_table.keep_pace(self._pace.current)
+        self.peer_table.keep_pace(self._pace.current)
         self._rounds.end_tick(self.tick, self._pace.current, now)
         for name, count in (("stalled_ms", round(1000.0 * self._health.stalled)), ("given_up", self.peer_table.silence_timeouts)):
             if count:

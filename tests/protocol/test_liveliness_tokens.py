@@ -103,6 +103,13 @@ def test_a_waiting_name_that_speaks_is_shown_in_place_of_the_earliest_silent_one
     assert tokens.hear("x1") == [Gone("agent", "x2", 1), Alive("agent", "x1", 5)]
 
 
+def test_a_name_that_has_gone_gives_its_place_away_once() -> None:
+    tokens = full(spoken=False)
+    tokens.see(key("x0"), False)
+    assert tokens.see(key("s2"), True) == [Alive("agent", "s2", 1)] and tokens.see(key("s3"), True) == []
+    assert tokens.hear("s3") == [Gone("agent", "x1", 1), Alive("agent", "s3", 1)]
+
+
 def test_a_waiting_token_that_vanishes_is_forgotten_untold() -> None:
     tokens = full(spoken=False)
     tokens.see(key("s2"), True)

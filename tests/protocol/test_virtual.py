@@ -4,6 +4,7 @@ from dataclasses import dataclass, field
 
 import pytest
 
+from protocol import codec
 from protocol.keys import all_of, one_of, tokens_of
 from protocol.messages import Command, Gossip, Observation
 from protocol.node import Alive, Effect, Event, Gone, Node, Received, Rejected, Started, Stop, Subscribe, Timer, Unsubscribe, messages_of
@@ -83,7 +84,7 @@ def test_a_message_reaches_all_who_subscribed_but_its_sender() -> None:
     bus = bus_of(one, two, three)
     say(bus, one, command("a", 7))
     assert one.heard() == [] and two.heard() == three.heard() == [(0.0, 7)]
-    assert (bus.messages, bus.deliveries) == (1, 3)
+    assert (bus.messages, bus.deliveries, bus.bytes) == (1, 3, len(codec.encode(command("a", 7))))
 
 
 def test_tokens_are_seen_by_all_others_when_a_node_comes_and_when_it_goes() -> None:
