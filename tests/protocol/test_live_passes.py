@@ -232,6 +232,18 @@ def test_a_timer_to_which_a_node_answers_nothing_comes_again() -> None:
     asyncio.run(scene())
 
 
+def test_a_deadline_that_is_taken_back_wakes_nobody() -> None:
+    async def scene() -> None:
+        node = Scribe("a")
+        driver = live.Driver(node, NetworkSettings())
+        for node.next in (driver._loop.time() + 0.01, None):
+            driver._handle_all([Started()])
+        await asyncio.sleep(0.05)
+        assert Timer() not in node.events
+
+    asyncio.run(scene())
+
+
 def token(name: str, up: bool = True) -> Arrival:
     return Arrival(keys.token_key("t", "agent", name, 1), token=up)
 
