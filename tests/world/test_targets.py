@@ -53,6 +53,13 @@ def test_a_narrow_arena_is_crossed_more_than_once_in_one_tick() -> None:
     assert heading == 0.0  # two walls: the heading is as before
 
 
+def test_targets_start_everywhere_and_head_everywhere() -> None:
+    many = Targets(TargetSettings(count=4000), SQUARE, dt=0.5, seed=1)
+    x, y = many.positions.T
+    for values, low, high in ((x, 0.0, 40.0), (y, 0.0, 40.0), (many.headings, -math.pi, math.pi)):
+        np.testing.assert_allclose(np.histogram(values, 4, (low, high))[0], 1000, rtol=0.1)
+
+
 def test_a_target_with_a_fixed_heading_goes_straight_at_its_speed() -> None:
     settings = TargetSettings(count=5, speed=2.0, heading_noise=0.0, border="reflect")
     targets = Targets(settings, ArenaSettings(width=1.0e6, height=1.0e6), 0.25, seed=1)
