@@ -106,8 +106,6 @@ LabelPart = tuple[bytes, bytes, int]  # a result of `pack_labels`, and the numbe
 
 def check_label_numbers(table: bytes, numbers: bytes, count: int) -> None:
     """Refuse `numbers` unless there is one below the length of the table for each of `count` particles, or none without a table."""
-    if not table and not numbers:
-        return
     known = LABELS.count(table)
     if known <= 256:
         fit = len(numbers) == (count if known else 0) and not numbers.translate(None, BYTE_VALUES[:known])
