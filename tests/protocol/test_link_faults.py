@@ -19,6 +19,10 @@ def test_a_clear_link_hands_over_the_very_object_at_once() -> None:
     assert delay == 0.0 and arrived is payload
 
 
+def test_before_any_fault_is_set_all_arrives() -> None:
+    assert LiveLink(1, "s1").incoming("covey/r/gossip/s2", b"x", 0.0) == [(0.0, b"x")]
+
+
 @pytest.mark.parametrize("burst", [0.0, 4.0])
 def test_the_share_that_is_lost_is_the_share_asked_for_with_and_without_bursts(burst: float) -> None:
     lost = np.array([not copies for copies in arrivals(LinkCondition(drop=0.3, burst=burst))])

@@ -11,7 +11,8 @@ from deploy.scenario import resolve, world_config
 from protocol.settings import BadSetting
 from world.config import RecordedSettings
 from world.recorded.mrclam import read_mrclam
-from world.recorded.robots import from_other_pose, scans_by_tick
+from world.recorded.robots import ReplayedBodies, from_other_pose, scans_by_tick
+from world.recorded.targets import RecordedTargets
 from world.recorded.tracks import ReplayedBody
 from world.sources import sources_of
 
@@ -136,7 +137,8 @@ def test_the_scans_of_a_replay_begin_where_the_replay_begins(tmp_path: Path) -> 
     original(tmp_path)
     given = {"recorded.data": str(tmp_path), "recorded.start": 1.0, "run.seconds": 1.0, "run.dt": 0.25, "recorded.origin": [0.0, 0.0]}
     config = world_config(resolve("mrclam", given))
-    detector, names = sources_of(config).detector, list(config.members)
+    (targets, bodies, detector), names = sources_of(config), list(config.members)
+    assert isinstance(targets, RecordedTargets) and isinstance(bodies, ReplayedBodies)
     scans = [detector.scans([], [], names, np.empty((0, 2)), np.empty(0), tick, None) for tick in range(4)]  # type: ignore[arg-type]
     assert [[len(scan) for scan in tick] for tick in scans] == [[1] * 5] * 3 + [[0] * 5]
 
