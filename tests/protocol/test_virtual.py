@@ -173,6 +173,17 @@ def test_a_clock_that_jumps_shows_in_the_time_a_node_is_told_and_moves_no_messag
     assert [now for now, event in one.events if isinstance(event, Timer)] == [292.5]
 
 
+def test_after_the_jump_of_a_clock_the_next_event_sets_the_timer_anew() -> None:
+    one, two = Scribe("a"), Scribe("b")
+    bus = bus_of(one, two)
+    one.due = 10.0
+    bus._rearm(bus._endpoints["a"])
+    bus.jump("a", 4.0)
+    say(bus, two, command("b", 5))
+    bus.run(20.0)
+    assert [now for now, event in one.events if isinstance(event, Timer)] == [10.0]
+
+
 def test_a_deadline_that_is_taken_back_wakes_nobody() -> None:
     one = Scribe("a")
     bus = bus_of(one)

@@ -19,6 +19,18 @@ def test_a_body_with_half_a_session_opens_it_anew(monkeypatch: pytest.MonkeyPatc
     assert [effect for effect in effects if isinstance(effect, Reopen)] == [Reopen("s1 speaks, but its token has gone")]
 
 
+def test_a_body_that_waits_for_its_agent_looks_four_times_a_second() -> None:
+    body = Body(config(), "s1", 1)
+    body.handle(Started(), 0.0)
+    looks = []
+    while len(looks) < 4:
+        due = body.deadline()
+        assert due is not None
+        looks.append(due)
+        assert body.handle(Timer(), due) == []
+    assert looks == [0.25, 0.5, 0.75, 1.0]
+
+
 def test_without_a_command_for_half_a_second_it_is_stopped_once(monkeypatch: pytest.MonkeyPatch) -> None:
     body = started(monkeypatch)
     body.handle(Timer(), 0.0)
