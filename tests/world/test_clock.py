@@ -40,6 +40,11 @@ def test_who_is_ahead_of_the_majority_stands_until_it_comes() -> None:
     assert found.anchor == 1.0 and found.tick(100.0) == 396
 
 
+def test_a_clock_jumps_forward_for_less_than_it_stands_for() -> None:
+    assert clock(dict.fromkeys(FIVE, 0.3)).listen(FIVE, 100.0)
+    assert not clock(dict.fromkeys(FIVE, -0.3)).listen(FIVE, 100.0)
+
+
 def test_two_wrong_clocks_of_five_move_nobody_and_nobody_waits_for_one() -> None:
     for wrong in (3600.0, -3600.0):
         found = clock({**dict.fromkeys(FIVE, 0.0), "s1": wrong, "s2": wrong})
