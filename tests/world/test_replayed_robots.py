@@ -143,6 +143,13 @@ def test_the_scans_of_a_replay_begin_where_the_replay_begins(tmp_path: Path) -> 
     assert [[len(scan) for scan in tick] for tick in scans] == [[1] * 5] * 3 + [[0] * 5]
 
 
+def test_a_team_of_another_size_than_that_of_the_recording_is_refused(tmp_path: Path) -> None:
+    original(tmp_path)
+    given = {"recorded.data": str(tmp_path), "recorded.start": 1.0, "run.seconds": 1.0, "team.composition": "R3"}
+    with pytest.raises(BadSetting, match="members: 3 agents for a recording of 5 robots; should be as many"):
+        sources_of(world_config(resolve("mrclam", given)))
+
+
 def test_the_motion_of_the_robot_between_frame_and_tick_is_taken_out() -> None:
     stated = from_other_pose(np.array([[2.0, 0.5]]), (1.0, 1.0, 0.0), (1.0 + 2.0 * math.cos(0.5), 1.0, 0.5 * math.pi))
     assert stated[0] == pytest.approx([2.0 * math.sin(0.5), 0.0], abs=1e-12)
