@@ -8,7 +8,7 @@ from protocol.messages import Command, Gossip, Hello
 from protocol.node import Alive, Gone, Reopen, Started, Stop, Timer, received
 from protocol.settings import BadSetting
 from tests.world.robot import Robot, command, config, started
-from world.body import Body, check_epoch
+from world.body import EXIT_INCOMPLETE, Body, check_epoch
 
 
 def test_a_body_with_half_a_session_opens_it_anew(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -29,6 +29,15 @@ def test_a_body_that_waits_for_its_agent_looks_four_times_a_second() -> None:
         looks.append(due)
         assert body.handle(Timer(), due) == []
     assert looks == [0.25, 0.5, 0.75, 1.0]
+
+
+@pytest.mark.parametrize(("strict", "codes", "tick"), [(False, [], 0), (True, [EXIT_INCOMPLETE], -1)])
+def test_a_body_that_waits_in_vain_for_an_agent_begins_without_it_or_ends_a_strict_run(strict: bool, codes: list[int], tick: int) -> None:
+    body = Body(config(**{"run.strict": strict, "run.start_timeout": 5.0}), "s1", 1)
+    for event in (Started(), Alive("agent", "s1", 1)):
+        body.handle(event, 0.0)
+    effects = body.handle(Timer(), 5.0)
+    assert [effect.code for effect in effects if isinstance(effect, Stop)] == codes and body.tick == tick
 
 
 def test_without_a_command_for_half_a_second_it_is_stopped_once(monkeypatch: pytest.MonkeyPatch) -> None:
