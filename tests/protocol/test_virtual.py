@@ -121,6 +121,18 @@ def test_a_local_node_sees_the_tokens_that_it_asks_for_and_everybody_else_sees_i
     assert [event for _, event in early.events if isinstance(event, Alive)] == [Alive("agent", "b", 4)]
 
 
+def test_a_second_subscription_shows_no_token_again_and_outlives_the_end_of_one() -> None:
+    local, token = Local("a"), tokens_of("r", "agent", "b")
+    bus = bus_of(local)
+    bus.add(Scribe("b"))
+    bus.run(1.0)
+    say(bus, local, Subscribe(token))
+    say(bus, local, Unsubscribe(token))
+    bus.remove("b")
+    bus.run(2.0)
+    assert [type(event) for _, event in local.events if isinstance(event, Alive | Gone)] == [Alive, Gone]
+
+
 def test_a_stopped_node_finds_all_that_arrived_but_of_observations_the_newest_only() -> None:
     world, one, two = Scribe("world", role="world"), Scribe("a"), Scribe("b")
     bus = bus_of(world, one, two)
