@@ -1,6 +1,7 @@
 """Endpoints beyond this machine are refused unless they are encrypted or the settings say insecure."""
 
 import socket
+import ssl
 import subprocess
 import sys
 from pathlib import Path
@@ -102,6 +103,11 @@ def test_the_certificate_of_another_name_is_refused_where_its_holder_would_only_
         check_owner(settings, "s2")
     with pytest.raises(BadSetting, match="is not the certificate of s2"):
         open_session(settings, Token("r", "agent", "s2", 1))
+
+
+def test_a_name_in_another_encoding_is_read_as_far_as_it_goes() -> None:
+    latin = b"\x06\x03\x55\x04\x03\x14\x04caf\xe9"
+    assert common_names(ssl.DER_cert_to_PEM_cert(latin)) == {"caf\ufffd"}
 
 
 def test_a_free_port_lies_below_the_range_of_outgoing_connections() -> None:
