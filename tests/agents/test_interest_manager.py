@@ -110,6 +110,12 @@ def test_an_announced_sensor_counts_though_its_beacon_says_nothing_of_others() -
     assert isinstance(said, Beacon) and said.widest_reach == 25.0
 
 
+def test_a_peer_may_have_gone_as_far_as_brings_no_beacon_and_a_tick_of_its_way() -> None:
+    config = msgspec.structs.replace(CONFIG, run=RunSettings(dt=0.5))
+    made = InterestManager(Agent(config, "s1").context, PeerTable(config, "s1"))
+    assert made._ground.drift == BEACON_JUMP + 0.5 * config.limits.speed
+
+
 def test_who_goes_and_comes_back_is_listened_to_all_the_while() -> None:
     watcher = lookout()
     assert look(watcher, 0, 30.0) == [Subscribe(GOSSIP), Subscribe(TOKEN)]
