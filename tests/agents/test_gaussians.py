@@ -181,6 +181,18 @@ def test_a_component_across_the_edge_of_the_footprint_moves_to_the_part_that_was
     assert found.covariances[0, 0, 0] < 4.0 and found.means[0, 2] > 2.0
 
 
+def test_the_velocity_follows_the_place_by_regression_on_both_axes() -> None:
+    rng = np.random.default_rng(3)
+    root, factors = rng.normal(size=(4, 4)), 0.5 + rng.random((1, 9))
+    old, before = root @ root.T + np.eye(4), component(20.0, 20.0, 1.0)
+    after = gaussian_phd._reshaped(before._replace(covariances=old[None]), factors / quadrature_mean(factors)[:, None])
+    follow, new = old[2:, :2] @ np.linalg.inv(old[:2, :2]), after.covariances[0]
+    moved = (after.means - before.means)[0]
+    assert np.abs(moved[:2]).min() > 0.01 and moved[2:] == pytest.approx(follow @ moved[:2])
+    assert new[2:, :2] == pytest.approx(follow @ new[:2, :2]) and new == pytest.approx(new.T)
+    assert new[2:, 2:] == pytest.approx(old[2:, 2:] + follow @ (new - old)[:2, :2] @ follow.T)
+
+
 def test_a_birth_has_the_noise_of_the_sensor_and_the_share_of_the_least_density() -> None:
     kappa, birth = 0.001, BirthSettings(background=False)
     found = gaussian_phd.correct(EMPTY, [scan([(20.0, 20.0)], clutter=kappa)], Step(config(birth=birth), 3))

@@ -7,7 +7,7 @@ import pytest
 
 from protocol.fields import MAX_DETECTIONS
 from protocol.random_streams import scramble, uniform
-from protocol.sensing import SENSOR_CLASSES, Pose, SensorModel, WedgeSensor
+from protocol.sensing import SENSOR_CLASSES, MeasurementModel, Pose, SensorModel, WedgeSensor
 from protocol.settings import DetectionSettings
 from world import detector as detector_module
 from world.detector import Detector, clutter_points, count_in_view, poisson_table, sightings
@@ -159,6 +159,12 @@ def test_clutter_is_uniform_in_the_footprint() -> None:
     assert np.mean(ranges2 < 50.0) == pytest.approx(0.5, abs=0.023)  # half of the area lies within r / sqrt(2)
     assert np.mean(bearings > 0.0) == pytest.approx(0.5, abs=0.023)
     assert np.mean(np.abs(bearings) < math.radians(22.5 / 2)) == pytest.approx(0.5, abs=0.023)
+
+
+def test_the_clutter_of_a_camera_is_ranges_and_bearings_in_its_footprint() -> None:
+    camera = WedgeSensor(1.0, 5.0, 0.9, MeasurementModel("range-bearing", 0.01, 0.1))
+    ranges, bearings = scan(Detector(DetectionSettings(clutter=200.0), 1), camera, (70.0, 30.0, 2.0), np.empty((0, 2))).T
+    assert len(ranges) > 100 and ranges.max() <= 5.0 + 1e-5 and np.abs(bearings).max() <= 0.5 + 1e-5
 
 
 def test_a_thin_footprint_still_gets_its_clutter_and_an_empty_one_ends_the_search() -> None:
