@@ -9,11 +9,12 @@ import pytest
 from deploy.scenario import resolve, world_config
 from protocol.settings import ArenaSettings, BadSetting
 from world.config import RecordedSettings
+from world.recorded.lines import Line
 from world.recorded.local_frame import LocalFrame
 from world.recorded.pedestrians import read_pedestrians
 from world.recorded.ships import read_ships
 from world.recorded.targets import RecordedTargets
-from world.recorded.tracks import RecordedWorld
+from world.recorded.tracks import RecordedWorld, Report, without_leaps
 from world.sources import READERS, recording_of, sources_of
 
 HEAD = "Time,MMSI,Latitude_degrees,Longitude_degrees,COG_degrees,SOG_knots"
@@ -156,6 +157,13 @@ def test_a_report_that_cannot_be_true_is_left_out_and_named_by_line(tmp_path: Pa
     assert len(found.visits) == 1 and len(found.visits[0].times) == 3
     assert found.remarks[0].startswith(f"{file}, line 3: latitude 50.8141, longitude 54.8317: ")
     assert found.remarks[1].startswith(f"{file}, line 5: MMSI 235 at 5")
+
+
+def test_of_two_reports_that_contradict_each_other_the_earlier_goes_where_the_others_agree_without_it() -> None:
+    line = Line(Path("a"), 2, ())
+    reports = [Report(time, x, 0.0, line) for time, x in ((0.0, 0.0), (10.0, 10.0), (11.0, 5.0), (12.0, 6.0))]
+    kept, wrong = without_leaps(reports, lambda one, other: abs(other.x - one.x) / (other.time - one.time), 1.5)
+    assert [report.time for report in kept] == [0.0, 11.0, 12.0] and [report.time for report, _ in wrong] == [10.0]
 
 
 @pytest.mark.parametrize(
