@@ -154,6 +154,8 @@ def test_an_agent_states_how_old_the_generators_of_its_claim_are_where_they_are_
         agent.handle(Timer(), 100.0 * tick + 50.0)
     assert ages == [b""] * 4 + [b"\0\1", b"\0\2", b"\0\3"]
     assert sizes == [False] * 4 + [True] * 3
+    late = of_kind(see(agent, 60, 6000.0), Gossip)
+    assert (late.claim_names, late.claim_ages) == ((), b""), "ages without names are refused"
 
 
 def test_a_generator_that_came_by_a_claim_is_passed_on_with_the_age_that_was_stated() -> None:
