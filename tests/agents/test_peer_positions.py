@@ -94,6 +94,7 @@ def test_a_newcomer_calls_for_a_choice_only_where_it_may_matter() -> None:
     assert found.take_beacon(beacon("s4", 1, 60.0, incarnation=2)) and found.selection_outdated  # somebody known has been restarted
     choose(found)
     assert not found.take_beacon(beacon("s4", 2, 60.0, incarnation=1)) and not found.selection_outdated  # an older incarnation is nobody
+    assert found.gone("s5", 1, 3) and found.selection_outdated
 
 
 def test_the_silent_are_nowhere_but_for_those_of_whom_a_claim_has_told() -> None:

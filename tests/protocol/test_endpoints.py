@@ -119,6 +119,13 @@ def test_a_free_port_is_free_for_a_udp_or_quic_endpoint() -> None:
         listener.bind(("127.0.0.1", free_port()))
 
 
+def test_a_port_on_which_somebody_listens_is_not_free(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("protocol.endpoints.os.urandom", bytes)
+    with socket.socket() as listener:
+        listener.bind(("127.0.0.1", following := free_port() + 7))
+        assert free_port() != following
+
+
 def test_a_port_that_was_given_away_is_given_to_nobody_else(monkeypatch: pytest.MonkeyPatch) -> None:
     """Nobody listens on it yet: the swarm that asked is still starting, and another one starts beside it."""
     program = "import os; os.urandom = bytes; from protocol.endpoints import free_port; print(free_port(), flush=True); input()"
