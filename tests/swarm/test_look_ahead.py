@@ -149,8 +149,9 @@ def test_made_up_ticks_of_one_peer_push_out_no_gossip_of_the_own_agent_or_of_sev
         return Gossip(sender=name, incarnation=1, tick=tick, pose=(1.0, 1.0, 0.0), cod=(1.0, 1.0), power_radius=0.0, unused=0.0)
 
     history.put(said("s1", 7), sensor)
-    for name in ("s2", "s3"):
+    for name in ("s3", "s2"):
         history.put(said(name, 8), sensor)
+    assert history.table(said("s1", 8)).names == ("s1", "s2", "s3")
     for tick in range(1000, 1200):
         history.put(said("s4", tick), sensor)
     assert history.table(said("s1", 7)).names == ("s1",) and history.own_gossip(7, said("s1", 9)).tick == 7
