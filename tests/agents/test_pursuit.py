@@ -65,6 +65,11 @@ def test_it_turns_to_the_mass_that_its_footprint_can_hold() -> None:
     assert 0.5 * turn == pytest.approx(math.pi / 2.0, abs=math.pi / 8.0)
 
 
+def test_of_turns_after_which_its_footprint_holds_as_much_it_takes_the_least() -> None:
+    _, turn = Pursuit().command(situation(particles((54.0, 50.0, 1.0))))
+    assert turn == 0.0
+
+
 def test_of_two_places_it_looks_at_the_one_that_was_out_of_sight() -> None:
     """Equal mass left and right; another sensor watches the right one: 0.1 against 0.1 + 1 - exp(-2.5 / 0.5)."""
     held = particles((50.0, 55.0, 1.0), (50.0, 45.0, 1.0))
