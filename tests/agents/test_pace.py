@@ -163,3 +163,11 @@ def test_ticks_for_which_the_body_is_away_are_no_reason_to_slow_down(is_away: bo
             agent.handle(Gone("body", "s1", 1), now)
         agent.handle(Timer(), now)  # it has taken no time
     assert (max(gossip.pace for gossip in said) == 1) == is_away
+
+
+def test_at_the_end_of_a_round_the_peers_are_judged_by_its_pace() -> None:
+    agent = met()
+    agent._pace.close = lambda tick, needs: setattr(agent._pace, "current", 4)  # type: ignore[method-assign]
+    agent.handle(see(0), 0.0)
+    agent.handle(Timer(), 10.0)
+    assert agent.peer_table.pace == 4
