@@ -87,14 +87,11 @@ class BusEndpoint:
         return token_key(self.node.run, self.node.role, self.node.name, self.node.incarnation)
 
     def empty_mailbox(self) -> list[Event]:
-        """The events of the mailbox in the order of arrival; it is empty afterwards."""
+        """The events of the mailbox in the order of arrival, own messages among them; it is empty afterwards."""
         mailbox, self.mailbox = self.mailbox, []
         if len(mailbox) == 1 and len(mailbox[0].items) > 1:
             return mailbox[0].events
-        items = []
-        for group in mailbox:  # most groups hold one message, of another sender
-            items += group.without(self) if self in group.senders else group.items
-        return [*in_batches(items)]
+        return [*in_batches([item for group in mailbox for item in group.items])]
 
     def catch_up(self) -> list[Event]:
         """The events that waited, of observations as many as the node needs, the newest: a slow node skips ticks."""

@@ -277,6 +277,12 @@ def test_gossips_that_all_say_in_an_instant_come_as_one_batch_that_all_share() -
     assert len(batches) == 3 and len(set(map(id, batches))) == 1
 
 
+def test_a_gossip_that_comes_alone_does_not_reach_its_sender() -> None:
+    bus, (one, two, _) = choir()
+    say(bus, one, gossip("a", 2))
+    assert one.batches() == [["a", "b", "c"]] and two.batches() == [["a", "b", "c"], ["a"]]
+
+
 def test_who_is_paused_finds_the_batch_later_and_what_it_says_then_comes_alone() -> None:
     bus, nodes = choir(paused="c")
     assert [node.batches() for node in nodes] == [[["a", "b"]], [["a", "b"]], []]
