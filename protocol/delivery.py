@@ -1,12 +1,12 @@
 """The endpoints of the virtual bus, and the messages on their way to them.
 
 A `BusEndpoint` is a node and the state that the bus keeps for it. A `Delivery` is one message, as bytes, and its receivers. A
-`MessageGroup` is a sequence of messages of one kind to the same receivers, decoded and put into a batch once for all of them. Gossips,
+`MessageGroup` is a sequence of messages of one kind to the same receivers, put into a batch once for all of them. Gossips,
 beacons, Hellos and estimates wait in the mailboxes of their receivers until the instant holds no other event (`VirtualBus`).
 """
 
 from collections import Counter, deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -23,20 +23,19 @@ MAILBOX_KINDS = (Gossip, Beacon, Hello, Estimate)  # kinds that wait in the rece
 
 
 class MessageGroup:
-    """Consecutive messages of one kind to the same listeners, decoded and put into batches once for all listeners."""
+    """Consecutive messages of one kind to the same listeners, each with its sender; put into batches once for all listeners."""
 
-    def __init__(self, deliveries: "Sequence[Delivery]") -> None:
-        self.senders = [delivery.sender for delivery in deliveries]
-        self.items: list[Item] = [*read_all([(delivery.key, delivery.payload) for delivery in deliveries])]
+    def __init__(self, listeners: "list[BusEndpoint]", said: "list[tuple[BusEndpoint, Item]]") -> None:
+        self.listeners, self.said = listeners, said
 
     @cached_attribute
     def events(self) -> list[Event]:
         """The events of all messages, the listener's own messages included."""
-        return [*in_batches(self.items)]
+        return [*in_batches([item for _, item in self.said])]
 
     def without(self, endpoint: "BusEndpoint") -> list[Item]:
         """The messages of all other senders."""
-        return [item for sender, item in zip(self.senders, self.items) if sender is not endpoint]
+        return [item for sender, item in self.said if sender is not endpoint]
 
 
 @dataclass(slots=True)
@@ -49,12 +48,18 @@ class Delivery:
     key: str
     payload: bytes
 
-    def with_followers(self, ready: deque[Any]) -> MessageGroup:
-        """This message and the next ones in the queue of its kind to the same listeners, decoded together; they leave the queue."""
+    def with_followers(self, ready: deque[Any], *, most: int | None = None) -> list[MessageGroup]:
+        """This message and the next ones of its kind in the queue, `most` in all, decoded together; they leave the queue."""
         found = [self]
-        while ready and isinstance(ready[0], Delivery) and ready[0].listeners is self.listeners and ready[0].kind is self.kind:
+        while ready and isinstance(ready[0], Delivery) and ready[0].kind is self.kind and len(found) != most:
             found.append(ready.popleft())
-        return MessageGroup(found)
+        items = read_all([(delivery.key, delivery.payload) for delivery in found])
+        groups: list[MessageGroup] = []
+        for delivery, item in zip(found, items):
+            if not groups or groups[-1].listeners is not delivery.listeners:
+                groups.append(MessageGroup(delivery.listeners, []))
+            groups[-1].said.append((delivery.sender, item))
+        return groups
 
 
 @dataclass(eq=False, slots=True)
@@ -89,9 +94,9 @@ class BusEndpoint:
     def empty_mailbox(self) -> list[Event]:
         """The events of the mailbox in the order of arrival, own messages among them; it is empty afterwards."""
         mailbox, self.mailbox = self.mailbox, []
-        if len(mailbox) == 1 and len(mailbox[0].items) > 1:
+        if len(mailbox) == 1 and len(mailbox[0].said) > 1:
             return mailbox[0].events
-        return [*in_batches([item for group in mailbox for item in group.items])]
+        return [*in_batches([item for group in mailbox for _, item in group.said])]
 
     def catch_up(self) -> list[Event]:
         """The events that waited, of observations as many as the node needs, the newest: a slow node skips ticks."""

@@ -5,6 +5,7 @@ Pure bookkeeping without sockets. Both drivers use `in_batches`. The live driver
 
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
+from itertools import groupby
 from typing import NamedTuple
 
 from protocol.arrival_queue import Arrival
@@ -33,21 +34,12 @@ def read_all(arrived: Sequence[tuple[str, bytes]]) -> list[Decoded | Rejected]:
 
 def in_batches(arrived: Iterable[Decoded | Event]) -> Iterator[Event]:
     """The events in the order of arrival; consecutive messages of one kind are one `Received`."""
-    run: list[Decoded] = []
-    kind: type[Message] | None = None  # of the messages in `run`
-    for item in arrived:
-        if isinstance(item, Decoded) and type(item.message) is kind:
-            run.append(item)
-            continue
-        if run:
-            yield _batch(run)
-        run, kind = [], None
-        if isinstance(item, Decoded):
-            run, kind = [item], type(item.message)
+    for kind, run in groupby(arrived, _kind):
+        if kind is None:
+            yield from run  # type: ignore[misc]  # nothing of them is decoded
         else:
-            yield item
-    if run:
-        yield _batch(run)
+            messages, payloads = zip(*run)
+            yield Received(Batch(messages, payloads))
 
 
 def event_of(arrived: Decoded | Event) -> Event:
@@ -55,9 +47,9 @@ def event_of(arrived: Decoded | Event) -> Event:
     return Received(Batch((arrived.message,), (arrived.payload,))) if isinstance(arrived, Decoded) else arrived
 
 
-def _batch(run: list[Decoded]) -> Received:
-    messages, payloads = zip(*run)
-    return Received(Batch(messages, payloads))
+def _kind(arrived: Decoded | Event) -> type[Message] | None:
+    """The type of a decoded message; None for an event."""
+    return type(arrived.message) if isinstance(arrived, Decoded) else None
 
 
 class Reception:

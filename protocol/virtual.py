@@ -14,7 +14,7 @@ from functools import partial
 from typing import Protocol
 
 from protocol import codec
-from protocol.delivery import MAILBOX_KINDS, BusEndpoint, Delivery, Item, MessageGroup, order_of_joining
+from protocol.delivery import MAILBOX_KINDS, BusEndpoint, Delivery, Item, order_of_joining
 from protocol.keys import is_of_tokens, message_key, tokens_of
 from protocol.message import Message
 from protocol.messages import Command, Gossip
@@ -193,12 +193,13 @@ class VirtualBus:
                 if endpoint is not delivery.sender:
                     self._hand(endpoint, event)
             return
-        group = delivery.with_followers(self._ready) if self.batches else MessageGroup([delivery])
-        for endpoint in delivery.listeners:
-            if len(group.items) > 1 or endpoint is not delivery.sender:
-                if not endpoint.mailbox:
-                    self._with_mail.append(endpoint)
-                endpoint.mailbox.append(group)
+        for group in delivery.with_followers(self._ready, most=None if self.batches else 1):
+            alone = group.said[0][0] if len(group.said) == 1 else None  # nothing of it is for its sender
+            for endpoint in group.listeners:
+                if endpoint is not alone:
+                    if not endpoint.mailbox:
+                        self._with_mail.append(endpoint)
+                    endpoint.mailbox.append(group)
 
     def _empty_mailboxes(self) -> None:
         """Hand every listener the messages of its mailbox, one listener after the other; no other event of this instant is left.

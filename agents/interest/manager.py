@@ -143,8 +143,9 @@ class InterestManager:
         A peer that is new here may not know this agent either. The exception is a peer that is new only because this agent did not
         receive beacons there before: the peer has just entered the known rectangle, or the subscription to its tile has just begun.
         """
-        new = self._peer_table.take_beacon(beacon)
-        self._learn_bounds(beacon)
+        new, peer = self._peer_table.take_beacon(beacon), self._peer_table.peers.get(beacon.sender)
+        if peer is not None and peer.announced is not None:
+            self._learn_bounds(peer.announced.bounds)
         return beacon.asks or (new and self._covers_beacons(beacon.position))
 
     def take_beacons(self, beacons: list[Beacon]) -> bool:
@@ -154,7 +155,7 @@ class InterestManager:
         for beacon in beacons:
             asking |= beacon.asks
             if beacon.widest_reach > widest.reach or beacon.widest_offset > widest.offset or beacon.widest_radius > widest.radius:
-                self._learn_bounds(beacon)
+                widest = self._learn_bounds(Bounds(beacon.widest_reach, beacon.widest_offset, beacon.widest_radius))
         for beacon in self._peer_table.positions.note_all(beacons, self._peer_table.peers):
             asking |= self.take_beacon(beacon)
         return asking
@@ -166,18 +167,17 @@ class InterestManager:
         reach, offset, radius = self._ground.bounds
         return [msgspec.structs.replace(self._last_beacon, asks=False, widest_reach=reach, widest_offset=offset, widest_radius=radius)]
 
-    def _learn_bounds(self, beacon: Beacon) -> None:
-        """Widen the bounds of all agents by those in a beacon; the next own beacon passes them on.
+    def _learn_bounds(self, others: Bounds) -> Bounds:
+        """Widen the bounds of all agents by those of others, and return them; the next own beacon passes them on.
 
         A larger agent matters from farther away.
         """
-        peer, known = self._peer_table.peers.get(beacon.sender), self._ground.bounds
-        wider = known.wider(Bounds(beacon.widest_reach, beacon.widest_offset, beacon.widest_radius))
-        if peer is not None and peer.announced is not None:
-            wider = wider.wider(peer.announced.bounds)
+        known = self._ground.bounds
+        wider = known.wider(others)
         if wider is not known:
             self._ground = self._ground._replace(bounds=wider)
             self._peer_table.selection_outdated = True
+        return wider
 
     def close_round(self, gossip: Gossip, outcome: RoundResult, command: ControlInput) -> list[Effect]:
         """The effects at the end of a round: a beacon and a new selection, where they are due for the pose to which the command leads."""

@@ -188,7 +188,7 @@ class PeerTable:
         if not plausible(gossip, peer.announced, self._config.arena):
             return "implausible"
         was_gone = peer.is_gone
-        if peer.note_life(tick, 1, is_wrong=self.inbox.is_far_ahead(tick)):
+        if (was_gone or peer.suspected or peer.silent_rounds) and peer.note_life(tick, 1, is_wrong=self.inbox.is_far_ahead(tick)):
             self.selection_outdated |= was_gone
         return ACCEPTED
 
