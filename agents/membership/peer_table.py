@@ -194,8 +194,9 @@ class PeerTable:
 
     def fresh(self, tick: int) -> dict[str, Gossip]:
         """The gossips of `tick` by live peers, in the order of names."""
-        gossips = self.inbox.of(tick)
-        return {name: gossips[name] for name, peer in self.interest_set.items() if name in gossips and not peer.is_gone}
+        gossips, peers = self.inbox.of(tick), self.interest_set
+        live = peers if self._all_acceptable else [name for name, peer in peers.items() if not peer.is_gone]
+        return {name: gossips[name] for name in live if name in gossips}
 
     def missing(self, tick: int, *, newcomer: bool = False) -> set[str]:
         """The peers whose gossip of `tick` is missing: alive, heard before, and not silent for long.
