@@ -239,7 +239,8 @@ def _own_cell(context: AgentContext, generator_table: GossipTable, unsubscribed:
     """The own cell (V, 2) m and the claim to it: its generators, the own one first. Both are empty while the agent listens."""
     if context.name not in generator_table.names:
         return EMPTY, NO_CLAIM
-    names, generators = generator_table.names, np.concatenate([generator_table.generators, unsubscribed.generators])
+    names = generator_table.names
+    generators = np.concatenate([generator_table.generators, unsubscribed.generators])
     cell = context.backend.cut_cells([names.index(context.name)], generators, context.arena)[0]
     if max(cell.bounding, default=0) >= len(names):  # rarely does a peer that is not heard bound the cell
         names = (*names, *unsubscribed.names())

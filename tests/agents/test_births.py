@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from agents.config import AgentConfig, BirthSettings, FilterSettings
-from agents.tracking.births import Scan, background_births, birth_density, measurement_births, prior
+from agents.tracking.births import Scan, background_births, birth_density, measurement_births, prior, prior_around
 from agents.tracking.particles import NO_PARTICLES, Particles, unlabelled
 from agents.tracking.step import Step
 from protocol.compact_particles import DIRECTIONS
@@ -46,6 +46,15 @@ def test_the_prior_is_uniform_and_has_its_density() -> None:
     assert np.abs(counts - 4000 / 15).max() < 4.5 * spread
     assert np.hypot(particles.states[:, 2], particles.states[:, 3]) == pytest.approx(2.0, rel=1e-6)
     assert (particles.ids[1:] > particles.ids[:-1]).all()
+
+
+def test_the_prior_around_a_box_is_what_lies_in_the_squares_that_the_box_touches() -> None:
+    """Squares of 25 m: the box from (30, 10) to (55, 20) touches those from (25, 0) to (75, 25)."""
+    given = 1, 4000, FILTER, ARENA
+    everywhere, found = prior(*given), prior_around(*given, (30.0, 10.0, 55.0, 20.0))
+    x, y = everywhere.states[:, :2].T
+    inside = (x >= 25.0) & (x < 75.0) & (y < 25.0)
+    assert found.ids.tolist() == everywhere.ids[inside].tolist() and found.states.tolist() == everywhere.states[inside].tolist()
 
 
 def test_no_prior_density_no_prior() -> None:

@@ -178,6 +178,11 @@ def said(found: PeerTable, *beacons: Beacon) -> list[bool]:
     return [found.take_beacon(strange) for strange in found.positions.note_all([*beacons], found.peers)]
 
 
+def test_a_beacon_that_comes_twice_in_a_batch_is_that_of_a_new_peer_once() -> None:
+    """An agent that asks in several tiles is heard once from each."""
+    assert said(peers(), *[beacon("s9", 4, 40.0)] * 3) == [True]
+
+
 def test_a_beacon_lifts_a_suspicion_as_a_gossip_does() -> None:
     found = peers()
     for name in ("s2", "s3"):

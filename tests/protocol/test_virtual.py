@@ -257,10 +257,18 @@ class Choir(Scribe):
         return [senders for senders in found if senders]
 
 
-def choir(paused: str = "") -> tuple[VirtualBus, list[Choir]]:
-    """Three nodes that speak in one instant."""
+class OfOne(Choir):
+    """Listens to the gossips of `b` alone."""
+
+    def handle(self, event: Event, now: float) -> list[Effect]:
+        effects = Scribe.handle(self, event, now)
+        return [*effects, Subscribe(one_of(self.run, "gossip", "b"))] if isinstance(event, Started) else effects
+
+
+def choir(*others: Scribe, paused: str = "") -> tuple[VirtualBus, list[Choir]]:
+    """Three nodes that speak in one instant, beside others."""
     nodes, world = [Choir(name) for name in ("a", "b", "c")], Scribe("world", role="world")
-    bus = bus_of(*nodes, world)
+    bus = bus_of(*nodes, *others, world)
     for node in nodes:
         node.word = gossip(node.name, 1)
     if paused:
@@ -281,6 +289,12 @@ def test_a_gossip_that_comes_alone_does_not_reach_its_sender() -> None:
     bus, (one, two, _) = choir()
     say(bus, one, gossip("a", 2))
     assert one.batches() == [["a", "b", "c"]] and two.batches() == [["a", "b", "c"], ["a"]]
+
+
+def test_of_gossips_that_are_said_in_one_instant_each_listener_gets_those_that_it_asked_for() -> None:
+    listener = OfOne("d")
+    _, nodes = choir(listener)
+    assert listener.batches() == [["b"]] and [node.batches() for node in nodes] == [[["a", "b", "c"]]] * 3
 
 
 def test_who_is_paused_finds_the_batch_later_and_what_it_says_then_comes_alone() -> None:
