@@ -36,6 +36,8 @@ def check_components(data: bytes) -> None:
     """Refuse numbers that are not finite or beyond `LARGEST_NUMBER`, negative weights, too much mass, ids that do not ascend, and labels
     that are too large.
     """
+    if not data:
+        return
     rows = read_components(data)
     if not bool(
         np.all(np.abs(rows["place"]) <= LARGEST_NUMBER) and np.all(np.isfinite(rows["velocity"])) and np.all(np.isfinite(rows["factor"]))
