@@ -19,7 +19,7 @@ class SubscriptionIndex(Generic[T]):
         self._order = order
         self._lists: dict[str, list[T]] = {}  # listeners by expression, in order; a list is replaced, never modified
         self._rare: set[str] = set()  # the expressions that are no key and no parent with one `*` behind it
-        self._found: dict[str, list[T]] = {}  # results of `listeners` since the last change
+        self._found: dict[str, list[T]] = {}  # results of `listeners` that still hold
 
     def add(self, expression: str, listener: T) -> None:
         """Add a listener to an expression."""
@@ -28,7 +28,7 @@ class SubscriptionIndex(Generic[T]):
         self._lists[expression] = [*listeners[:at], listener, *listeners[at:]]
         if "*" in expression.removesuffix("/*"):
             self._rare.add(expression)
-        self._found.clear()
+        self._forget_found(expression)
 
     def remove(self, expression: str, listener: T) -> None:
         """Remove a listener from an expression."""
@@ -36,7 +36,14 @@ class SubscriptionIndex(Generic[T]):
         if not self._lists[expression]:
             del self._lists[expression]
             self._rare.discard(expression)
-        self._found.clear()
+        self._forget_found(expression)
+
+    def _forget_found(self, expression: str) -> None:
+        """Drop the results that a change of an expression may change: that of a key itself, or all."""
+        if "*" in expression:
+            self._found.clear()
+        else:
+            self._found.pop(expression, None)
 
     def listeners(self, key: str) -> list[T]:
         """The listeners of a key, in order; not to be modified. Keys that lie in the same single expression share a list."""
