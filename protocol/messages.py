@@ -6,7 +6,7 @@ numbers, and `check` the other rules of a message alone. Rules that need the con
 """
 
 import struct
-from math import cos, hypot, inf, pi, sin
+from math import cos, hypot, pi, sin
 
 import msgspec
 import numpy as np
@@ -32,7 +32,6 @@ from protocol.fields import (
     ascend,
     check_label_numbers,
     check_rows,
-    pack,
     read_labels,
 )
 from protocol.gaussian_components import check_components, check_mass, read_components
@@ -128,7 +127,6 @@ _pack_plan = struct.Struct("<3d").pack
 _pack_position = struct.Struct("<6d").pack
 _unpack_radius = struct.Struct("<16xd").unpack_from  # of the first row of a claim
 _EXACT = (0.0, 0.0)  # noise of a pose
-_NO_BOX = struct.pack("<4d", inf, inf, -inf, -inf)
 
 
 class Gossip(Message, frozen=True, kw_only=True, dict=True, tag="gossip"):
@@ -217,14 +215,6 @@ class Gossip(Message, frozen=True, kw_only=True, dict=True, tag="gossip"):
         """The goal, or the place of the sensor without one, and its utilisation, as float64."""
         x, y = self.goal if self.goal is not None else self.pose[:2]
         return _pack_plan(x, y, self.goal_utilisation)
-
-    @cached_attribute
-    def box(self) -> bytes:
-        """West, south, east and north of the particles as float64, m; infinite and inverted without particles."""
-        if not self.states_bytes:
-            return _NO_BOX
-        places = self.states[:, :2]
-        return pack(np.concatenate([places.min(axis=0), places.max(axis=0)]), "<f8")
 
     def check(self) -> None:
         self.check_lengths()

@@ -137,13 +137,6 @@ def prepared(config: AgentConfig) -> tuple[np.ndarray, np.ndarray]:
     return np.array([settings[column] for column in range(len(settings))], dtype=float), np.array(keys, dtype=np.uint64)
 
 
-def stated_near(table: GossipTable, region: RegionInput, step: Step) -> tuple[np.ndarray, ...]:
-    """States, ids, labels and table rows of the gossips whose boxes of particles touch the surroundings of a region."""
-    (x, y), reach, width = region.pose[:2], region.sensor.reach + step.max_displacement, step.config.filter.halo + step.max_displacement
-    near = region_kernels.touching(table.boxes, region.polygon if len(region.polygon) else _NO_CORNERS, width, x, y, reach)
-    return *table.stated_by(near.tolist()), table.table[near]
-
-
 def update_regions(
     table: GossipTable, density: GossipTable | Particles, births: Particles, regions_: Sequence[RegionInput], step: Step
 ) -> list[RegionUpdate]:
@@ -175,14 +168,12 @@ def _update_wedges(
         return []
     config = step.config
     settings, keys = prepared(config)
-    stated: tuple[np.ndarray, ...] = _NOTHING_STATED
-    others = NO_PARTICLES
-    if not isinstance(density, GossipTable):
-        others = density
-    elif config.timing.interest == "all" or len(regions_) > 1 or density.is_stated_ready:
+    stated: tuple[np.ndarray, ...]
+    stated, others = _NOTHING_STATED, NO_PARTICLES
+    if isinstance(density, GossipTable):
         stated = *density.stated, density.table
     else:
-        stated = stated_near(density, regions_[0], step)
+        others = density
     updated, own, drawn, estimates, names, results = region_kernels.update_regions(
         settings,
         keys,

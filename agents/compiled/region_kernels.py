@@ -38,20 +38,6 @@ SIZES = 4  # first columns of a result: the numbers of updated, own and resample
 SUMS = 5  # next columns: mass, its sums of x and y, load and detected
 
 
-@cached
-def touching(boxes: np.ndarray, polygon: np.ndarray, width: float, x: float, y: float, reach: float) -> np.ndarray:
-    """Indices of the boxes (N, 4) that touch a box around a polygon, widened by `width` m, or one around a disc; ascending."""
-    west, south, east, north = around(polygon, width)
-    found, count = np.empty(len(boxes), np.int64), 0
-    for n in range(len(boxes)):
-        left, low, right, high = boxes[n]
-        near = left <= east and right >= west and low <= north and high >= south
-        if near or (left <= x + reach and right >= x - reach and low <= y + reach and high >= y - reach):
-            found[count] = n
-            count += 1
-    return found[:count]
-
-
 @njit
 def _surroundings(
     corners: np.ndarray, table: np.ndarray, spans: np.ndarray, width: float, step: float

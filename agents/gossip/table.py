@@ -216,26 +216,12 @@ class GossipTable:
 
         These arrays are the largest of a round, and no later round reads them. Only the last table that computed them keeps them.
         """
-        if not self.is_stated_ready:
-            _LAST_STATED.append((self, self.stated_by([*range(len(self.gossips))])))
+        if not _LAST_STATED or _LAST_STATED[0][0] is not self:
+            states = np.frombuffer(bytearray().join([gossip.states_bytes for gossip in self.gossips]), dtype=np.float32)
+            ids = np.frombuffer(bytearray().join([gossip.ids_bytes for gossip in self.gossips]), dtype=np.uint64)
+            labels = read_labels([gossip.label_part for gossip in self.gossips])
+            _LAST_STATED.append((self, (states.reshape(-1, 4), ids, labels)))
         return _LAST_STATED[0][1]
-
-    @property
-    def is_stated_ready(self) -> bool:
-        """Whether `stated` is already computed."""
-        return bool(_LAST_STATED) and _LAST_STATED[0][0] is self
-
-    def stated_by(self, rows: list[int]) -> StatedParticles:
-        """The part of `stated` that comes from some rows."""
-        gossips = self.gossips
-        states = np.frombuffer(bytearray().join([gossips[row].states_bytes for row in rows]), dtype=np.float32)
-        ids = np.frombuffer(bytearray().join([gossips[row].ids_bytes for row in rows]), dtype=np.uint64)
-        return states.reshape(-1, 4), ids, read_labels([gossips[row].label_part for row in rows])
-
-    @cached_attribute
-    def boxes(self) -> np.ndarray:
-        """The bounding box of each gossip's particles (N, 4): west, south, east and north, m."""
-        return np.frombuffer(b"".join([gossip.box for gossip in self.gossips])).reshape(-1, 4)
 
     @cached_attribute
     def particles(self) -> Particles:

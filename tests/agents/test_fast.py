@@ -375,12 +375,6 @@ def test_a_thousand_detections_of_one_place_are_named_in_a_moment() -> None:
     assert len(named) == len(set(named.tolist())) == count
 
 
-def test_an_agent_that_hears_a_part_reads_no_gossip_of_what_is_far() -> None:
-    found = [case(seed, 150, 1, True, "neighbours") for seed in range(40)]
-    read = [len(fast.stated_near(one.table, one.regions[0], one.step)[3]) for one in found if one.regions]
-    assert 0 < sum(read) < 0.9 * sum(len(one.table.names) for one in found if one.regions)
-
-
 def cells_of(generators: np.ndarray) -> list[Cell]:
     return PLAIN.cut_cells(range(len(generators)), generators, BOX)
 
