@@ -9,8 +9,9 @@ from pathlib import Path
 import pytest
 
 from agents.compiled.cache import loops_on_disk
+from tests.golden.test_golden import QUICK
 from tests.mutants import run
-from tests.mutants.run import ROOT, Edit, Mutant, chosen, judge, planted, read_table
+from tests.mutants.run import GOLDEN, ROOT, Edit, Mutant, chosen, judge, planted, read_table
 
 TABLE = read_table()
 LEAST = 200
@@ -35,6 +36,8 @@ def test_every_mutant_can_be_planted_and_names_tests_that_exist_and_are_run() ->
             file, _, name = test.partition("::")
             assert (ROOT / file).is_file(), f"{mutant.name}: there is no {file}"
             assert f"def {name.partition('[')[0]}" in (ROOT / file).read_text(), f"{mutant.name}: there is no {test}"
+            is_played = not test.startswith(GOLDEN) or test.removeprefix(GOLDEN).strip("[]") in QUICK
+            assert is_played, f"{mutant.name}: {test} is no quick case, and is played by no such test"
             all_slow = re.search(r"^pytestmark = .*mark\.slow", (ROOT / file).read_text(), re.MULTILINE)
             assert are_single or not (all_slow or name.partition("[")[0] in slow_tests(file)), f"{mutant.name}: {test} is slow"
 
