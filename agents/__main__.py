@@ -20,7 +20,7 @@ from protocol.settings import BadSetting
 def build(config: AgentConfig, name: str, incarnation: int, backend: Backend) -> Agent:
     """The agent of that name. Raises BadSetting when neither the roster nor `--sensor` names its sensor class."""
     if name in RESERVED:
-        raise BadSetting(f"--name {name}: this name belongs to the {name}; call the agent otherwise")
+        raise BadSetting(f"--name {name}: is the name of another process; should be one of its own")
     if name not in config.members:
         known = f"the roster has no such member; it has {', '.join(config.members)}" if config.members else "the file has no roster"
         raise BadSetting(f"--name {name}: {known}. --sensor CLASS says which sensor it carries")

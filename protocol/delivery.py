@@ -33,10 +33,6 @@ class MessageGroup:
         """The events of all messages, the listener's own messages included."""
         return [*in_batches([item for _, item in self.said])]
 
-    def without(self, endpoint: "BusEndpoint") -> list[Item]:
-        """The messages of all other senders."""
-        return [item for sender, item in self.said if sender is not endpoint]
-
 
 @dataclass(slots=True)
 class Delivery:

@@ -36,7 +36,7 @@ def in_batches(arrived: Iterable[Decoded | Event]) -> Iterator[Event]:
     """The events in the order of arrival; consecutive messages of one kind are one `Received`."""
     for kind, run in groupby(arrived, _kind):
         if kind is None:
-            yield from run  # type: ignore[misc]  # nothing of them is decoded
+            yield from run  # type: ignore[misc]  # these are events already
         else:
             messages, payloads = zip(*run)
             yield Received(Batch(messages, payloads))

@@ -19,7 +19,7 @@ from protocol.keys import is_of_tokens, message_key, tokens_of
 from protocol.message import Message
 from protocol.messages import Command, Gossip
 from protocol.node import NO_EFFECTS, Alive, Effect, Event, Gone, Node, Started, Stop, Subscribe, Timer, Unsubscribe
-from protocol.reception import event_of, in_batches, read_all
+from protocol.reception import event_of, read_all
 from protocol.subscription_index import SubscriptionIndex
 
 
@@ -194,9 +194,9 @@ class VirtualBus:
                     self._hand(endpoint, event)
             return
         for group in delivery.with_followers(self._ready, most=None if self.batches else 1):
-            alone = group.said[0][0] if len(group.said) == 1 else None  # nothing of it is for its sender
+            only_sender = group.said[0][0] if len(group.said) == 1 else None  # to whom a single message is not handed back
             for endpoint in group.listeners:
-                if endpoint is not alone:
+                if endpoint is not only_sender:
                     if not endpoint.mailbox:
                         self._with_mail.append(endpoint)
                     endpoint.mailbox.append(group)
@@ -214,7 +214,7 @@ class VirtualBus:
         if self.batches:
             events = endpoint.empty_mailbox()
         else:
-            events = [event for group in endpoint.mailbox for event in in_batches(group.without(endpoint))]
+            events = [event for group in endpoint.mailbox for event in group.events]
             endpoint.mailbox = []
         for event in events:
             self._hand(endpoint, event)

@@ -54,7 +54,7 @@ class _Indexed:
     rows: np.ndarray  # of all ticks, one behind the other: their targets
     columns: np.ndarray  # and their estimates
     sizes: list[tuple[int, int]]  # how many targets and estimates each tick has
-    similar: Callable[[int], np.ndarray]  # the similarities (T, M) of a tick, by its place; none is kept, for a run may have a million
+    similar: Callable[[int], np.ndarray]  # the similarities (T, M) of the tick at an index; of a long run all would not fit in memory
     target_ticks: np.ndarray  # (G,): the number of ticks of each target
     label_ticks: np.ndarray  # (K,): the same of each label
 
@@ -78,7 +78,7 @@ def track_score(ticks: Sequence[TrackTick], cutoff: float) -> TrackScore:
 
 
 def score_of(ticks: Sequence[Compared]) -> TrackScore:
-    """All scores of a run from any similarities, such as overlaps of boxes."""
+    """All scores of a run from any similarities, such as overlaps of boxes; tests compare these with published figures."""
     return _scores(_indexed(ticks, lambda place: ticks[place].similar))
 
 

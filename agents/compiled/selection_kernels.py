@@ -136,7 +136,8 @@ def _search_grid(
 def _likeliest_cell(table: np.ndarray, arena: np.ndarray) -> np.ndarray:
     """Twin of `selection._likeliest_cell`: a point (1, 2), m."""
     number, home = len(table), np.empty((1, 2))
-    x, y, squared = table[number - 1, 3], table[number - 1, 4], table[number - 1, 5] * table[number - 1, 5]
+    x, y, radius = table[number - 1, GENERATOR_X], table[number - 1, GENERATOR_Y], table[number - 1, POWER_RADIUS]
+    squared = radius * radius
     home[0, 0], home[0, 1] = x, y
     if number == 1:
         return home

@@ -64,7 +64,7 @@ class Membership:
         return self._warn(hello.sender, hello.incarnation, f"{hello.sender} is refused: its sensor cannot be used here: {why}")
 
     def _warn(self, name: str, incarnation: int, text: str) -> list[Effect]:
-        """A warning about a process, unless there has been one, or there have been many."""
+        """A warning about a process: one for each incarnation, and at most `MOST_WARNINGS` in all."""
         if (name, incarnation) in self._warned or len(self._warned) >= MOST_WARNINGS:
             return []
         self._warned.add((name, incarnation))

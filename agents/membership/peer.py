@@ -26,7 +26,7 @@ class Peer:
     beacon: Beacon | None = None  # the newest one
     rank: tuple[int, str] = (0, "")  # sorts peers in the order of names
     differs: tuple[str, ...] = ()  # the peer is refused: these settings differ from the own ones
-    unusable: str = ""  # why its newest Hello is refused, whose sensor cannot be used here
+    unusable: str = ""  # why the sensor of its last refused Hello cannot be used here
 
     def __post_init__(self) -> None:
         self.rank = order(self.name)

@@ -164,7 +164,7 @@ class Bridge:
         words, too_far = beyond_reach(self._reach, [math.dist(place, self.body.pose[:2]) for place in places])
         if too_far:
             self._reach = math.inf
-            print(f"bridge: /{self._options.agent}/detections: {words}; these are taken for clutter", file=sys.stderr)
+            print(f"bridge: /{self._options.agent}/detections: {words}; agents take such detections for clutter", file=sys.stderr)
 
     def _tell_stamp(self, stamp: int) -> None:
         """Say once that a scan is of another time than the odometry that is kept."""

@@ -1,4 +1,4 @@
-"""Poses in the plane: quaternions, the frame of the odometry, and what a command is to the wheels."""
+"""Poses in the plane: quaternions, the frame of the odometry, what a command is to the wheels, and what lies beyond a sensor's reach."""
 
 import math
 from collections.abc import Sequence
@@ -29,8 +29,8 @@ def moved(frame: Placement, point: Planar) -> Planar:
 def beyond_reach(reach: float, ranges: Sequence[float]) -> tuple[str, bool]:
     """How many detections at these distances lie beyond the reach of their sensor, all in m, in words; and whether most of them do."""
     beyond = sum(distance > reach for distance in ranges)
-    words = f"should lie within the reach of the sensor, {reach:g} m: {beyond} of {len(ranges)} do not"
-    return f"{words}, the farthest is {max(ranges, default=0.0):.1f} m away", 2 * beyond > len(ranges)
+    words = f"{beyond} of {len(ranges)} lie beyond the reach of the sensor, {reach:g} m"
+    return f"{words}, the farthest {max(ranges, default=0.0):.1f} m away", 2 * beyond > len(ranges)
 
 
 def clipped(velocity: Planar, speed: float) -> Planar:

@@ -8,7 +8,7 @@ from deploy.live.control import ControlClient
 from deploy.storage.run_directory import RunDirectory, find_running
 from protocol.settings import BadSetting
 
-QUIET_SECONDS = 5.0  # that a run takes to end before it is said what it waits for
+QUIET_SECONDS = 5.0  # s after which `down` says what it waits for
 
 
 def selection(verb: str, names: tuple[str, ...], random: int | None, otherwise: str | None) -> str:

@@ -55,7 +55,7 @@ def check_platform(name: str, config: WorldConfig) -> Iterator[tuple[str, bool]]
         yield "ticks may be left out", True
         if trial.ranges:
             words, too_far = beyond_reach(sensor_of(config, config.members[name]).reach, trial.ranges)
-            yield f"detections {words}", not too_far
+            yield f"detections lie within reach: {words}", not too_far
         yield f"no call takes longer than {1000 * SLOW:.0f} ms: the longest took {1000 * trial.longest:.1f} ms", trial.longest <= SLOW
     finally:
         platform.stop()

@@ -99,7 +99,7 @@ def write_figures(recording: Recording, folder: Path) -> list[Path]:
 
 
 def footprints_figure(scenario: Scenario) -> Figure:
-    """Footprints on one scale: of the classes of Table I (Figure 2); of a scenario with classes of its own, of these and its team's."""
+    """The footprints of Table I on one scale (Figure 2); for a scenario with classes of its own those and its team's instead."""
     own = [*scenario.members.values(), *scenario.sensors] if scenario.sensors else SENSOR_CLASSES
     sensors = {name: sensor_of(scenario, name) for name in sorted(set(own))}
     rows = math.ceil(len(sensors) / COLUMNS)

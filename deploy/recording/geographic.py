@@ -85,7 +85,7 @@ def _zero_of(recording: Recording) -> float:
 def write_geojson(recording: Recording, earth: Earth, file: Path) -> int:
     """Write a collection of features: a point for each estimate, a line for each true target and each body; the number of features.
 
-    A target that was away in between has a line for each time that it was there.
+    A target or a body that was away has a line for each time that it was there.
     """
     points: list[dict[str, Any]] = []
     lines: list[tuple[str, str, Way]] = []

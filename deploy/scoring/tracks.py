@@ -44,7 +44,7 @@ class TrackLog:
 
     @property
     def ticks(self) -> list[TrackTick]:
-        """Every tick, as it was seen."""
+        """All ticks; the list is built anew at each call."""
         targets, estimates = np.array(self._sizes, dtype=np.int64).reshape(-1, 2).T
         ids, labels = _split(self._ids, np.uint64, targets), _split(self._labels, np.uint64, estimates)
         places = (part.reshape(-1, 2) for part in _split(self._targets, np.float64, 2 * targets))
@@ -66,7 +66,7 @@ class TrackLog:
 
 
 def _split(column: bytearray, kind: type[np.generic], sizes: np.ndarray) -> list[np.ndarray]:
-    """The values of each tick, of so many numbers."""
+    """A column cut into ticks; `sizes` (ticks,) says how many values each tick has."""
     return np.split(np.frombuffer(bytes(column), kind), np.cumsum(sizes))[:-1]
 
 

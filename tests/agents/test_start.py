@@ -39,7 +39,7 @@ def test_a_stranger_is_refused_before_anything_is_compiled(monkeypatch: pytest.M
     monkeypatch.setattr("agents.compiled.warmup.warm", lambda: pytest.fail("compiles"))
     with pytest.raises(BadSetting, match=r"--name s9: the roster has no such member; it has s1"):
         start(TEAM, "s9", 1)
-    with pytest.raises(BadSetting, match=r"--name world: this name belongs to the world; call the agent otherwise"):
+    with pytest.raises(BadSetting, match=r"--name world: is the name of another process; should be one of its own"):
         start(TEAM, "world", 1)
 
 

@@ -262,7 +262,7 @@ def test_a_scan_of_which_most_lies_beyond_the_reach_of_the_sensor_is_told_once(c
     assert capsys.readouterr().err == ""
     for _ in range(2):
         bridge._on_detections(scan("odom", 0.0, (4.0, 1.0), (9.0, 1.0), (3.0, 8.0)))
-    words = "should lie within the reach of the sensor, 5 m: 2 of 3 do not, the farthest is 7.0 m away; these are taken for clutter"
+    words = "2 of 3 lie beyond the reach of the sensor, 5 m, the farthest 7.0 m away; agents take such detections for clutter"
     assert capsys.readouterr().err == f"bridge: /s3/detections: {words}\n"
 
 

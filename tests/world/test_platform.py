@@ -268,7 +268,7 @@ class SlowToStop(Ideal):
         (Degrees, ["told to turn"]),
         (SlowToStop, ["no call take"]),
         (Sees, []),
-        (Centimetres, ["detections s"]),
+        (Centimetres, ["detections l"]),
     ],
 )
 def test_the_contract_is_broken_by_a_robot_that_takes_a_direction_or_a_unit_for_another_or_is_slow(
