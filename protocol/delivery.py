@@ -90,7 +90,7 @@ class BusEndpoint:
     def empty_mailbox(self) -> list[Event]:
         """The events of the mailbox in the order of arrival, own messages among them; it is empty afterwards."""
         mailbox, self.mailbox = self.mailbox, []
-        if len(mailbox) == 1 and len(mailbox[0].said) > 1:
+        if len(mailbox) == 1:
             return mailbox[0].events
         return [*in_batches([item for group in mailbox for _, item in group.said])]
 

@@ -188,15 +188,14 @@ class PeerTable:
         if not plausible(gossip, peer.announced, self._config.arena):
             return "implausible"
         was_gone = peer.is_gone
-        if (was_gone or peer.suspected or peer.silent_rounds) and peer.note_life(tick, 1, is_wrong=self.inbox.is_far_ahead(tick)):
+        if peer.note_life(tick, 1, is_wrong=self.inbox.is_far_ahead(tick)):
             self.selection_outdated |= was_gone
         return ACCEPTED
 
     def fresh(self, tick: int) -> dict[str, Gossip]:
         """The gossips of `tick` by live peers, in the order of names."""
-        gossips, peers = self.inbox.of(tick), self.interest_set
-        live = peers if self._all_acceptable else [name for name, peer in peers.items() if not peer.is_gone]
-        return {name: gossips[name] for name in live if name in gossips}
+        gossips = self.inbox.of(tick)
+        return {name: gossips[name] for name, peer in self.interest_set.items() if name in gossips and not peer.is_gone}
 
     def missing(self, tick: int, *, newcomer: bool = False) -> set[str]:
         """The peers whose gossip of `tick` is missing: alive, heard before, and not silent for long.
